@@ -9,7 +9,7 @@ from pathlib import Path
 
 import xarray as xr
 
-from pymc_features._checks.messages import says_where_it_is_full
+from pymc_features._checks import says_where_it_is_full
 from pymc_features.exceptions import StudyMismatchError
 
 SUM, SUMMED = ".sha256", "parts_have_sums"  # folders without this key are older, and so are their parts

@@ -1,23 +1,39 @@
 """`compare`: which of several model classes the data support, and whether any of them explains the data."""
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pymc as pm
 import xarray as xr
 from numpy.typing import ArrayLike
+from scipy.stats import chi2
 
-from pymc_features._checks import as_numbers, check_finite, check_mapping, check_seed, message, shown
+from pymc_features._checks import (
+    as_list,
+    as_numbers,
+    check_finite,
+    check_group,
+    check_mapping,
+    check_seed,
+    message,
+    shown,
+)
+from pymc_features.calibration.comparison import log_likelihood
 from pymc_features.calibration.events import event_check
-from pymc_features.events.candidates import Candidate, candidates
-from pymc_features.events.stacking import stacking_weights
-from pymc_features.events.whiteness import residual_whiteness
+from pymc_features.calibration.fit import Predictions
+from pymc_features.calibration.peaks import some_draws
+from pymc_features.inference.parameters import posterior_for
+from pymc_features.smc import savable
 
 DECIDED = 0.95  # probability of the best model from which one may speak of a decision
 UNCERTAIN = 0.1  # standard error of a probability that is too large to tell anything
 NOT_WHITE, DISAGREE = 0.01, 0.05  # p-values of residuals, and of events, that a model does not explain
 ERROR_DRAWS = 4000  # of the errors of the log evidences
-SAMPLE_MORE = "Increase `draws` of `sample`."
+LAGS = 20  # of the test for white residuals
+ITERATIONS, SMALL = 10_000, 1e-10  # of stacking
+SAMPLE_BOTH = "Pass what `sample` or `sample_smc` returned for each model."
 
 
 def compare(
@@ -94,13 +110,12 @@ def compare(
     found = candidates(models)
     names = list(found)
     priors = prior_probabilities(prior, names)
-    values = np.array([found[name].evidence.value for name in names])
-    errors = np.array([found[name].evidence.error for name in names])
+    values, errors = np.array([one.evidence for one in found.values()]).T
     probabilities, uncertain = posterior_probabilities(values, errors, priors)
     if uncertain.max() > UNCERTAIN:
         listed = ", ".join(f"{v:.1f} +- {e:.2g}" for v, e in zip(values, errors, strict=True))
         wanted = "posteriors whose evidences are known well enough to compare them"
-        raise ValueError(message("models", wanted, listed, SAMPLE_MORE))
+        raise ValueError(message("models", wanted, listed, "Increase `draws` of `sample`."))
     columns = {
         "log_evidence": values,
         "log_evidence_se": errors,
@@ -116,6 +131,99 @@ def compare(
     if draws := of_names(predictions, names, "predictions"):
         parts["prediction"] = averaged(draws, probabilities, np.random.default_rng(random_seed))
     return xr.DataTree.from_dict(parts)
+
+
+class Evidence(NamedTuple):
+    """ln Z and its standard error; NaN where the sampler has left none."""
+
+    value: float
+    error: float
+
+
+class Candidate(NamedTuple):
+    """One model class: a posterior of each event, ln Z of all data, the data and the kinds of densities."""
+
+    events: list[xr.DataTree]
+    evidence: Evidence
+    data: list
+    kinds: list[str]
+
+
+def evidence_of(idata: xr.DataTree) -> Evidence:
+    """What `sample`, `sample_smc`, `laplace` or `pm.sample_smc` has left.
+
+    Of several chains the mean of the evidences; where a sampler gives no standard error, that of the mean
+    from how far the chains are apart. The evidence of a stretched likelihood, of `calibrate`, is none.
+    """
+    unknown = Evidence(np.nan, np.nan)
+    if "sample_stats" not in idata.children or "calibration" in idata.children:
+        return unknown
+    summary = idata["sample_stats"].attrs
+    if "log_evidence" in summary:
+        return Evidence(float(summary["log_evidence"]), float(summary["log_evidence_se"]))
+    stats = savable(idata)["sample_stats"].to_dataset()
+    name = "log_marginal_likelihood"
+    name = f"{name}_is" if f"{name}_is" in stats else name  # of `laplace`
+    if name not in stats:
+        return unknown
+    values = np.asarray(stats[name].values, dtype=np.float64)
+    weights = np.exp(values - values.max())
+    value, n = float(values.max() + np.log(weights.mean())), len(values)
+    if f"{name}_se" in stats:
+        errors = np.asarray(stats[f"{name}_se"].values, dtype=np.float64)
+        return Evidence(value, float(np.sqrt(((weights * errors) ** 2).sum()) / weights.sum()))
+    return Evidence(value, float(weights.std(ddof=1) / weights.mean() / np.sqrt(n)) if n > 1 else np.nan)
+
+
+def product(evidences: Iterable[Evidence]) -> Evidence:
+    """Evidence of all data of independent parts."""
+    values, errors = np.array(list(evidences)).T
+    return Evidence(float(np.sum(values)), float(np.linalg.norm(errors)))
+
+
+def candidates(models) -> dict[str, Candidate]:
+    """Two or more model classes that can be compared."""
+    plain = isinstance(models, Mapping) and not isinstance(models, xr.Dataset | xr.DataTree)
+    if not plain or len(models) < 2 or not all(isinstance(name, str) for name in models):
+        raise TypeError(message("models", "a dict of two or more posteriors", shown(models), SAMPLE_BOTH))
+    found = {name: candidate(name, value) for name, value in models.items()}
+    first, *others = found
+    for name in others:
+        if found[name].data != found[first].data:
+            raise ValueError(
+                f"`models` must be of the same data, got others for {name} than for {first}. Sample both "
+                "with the same channels, window and sampling step."
+            )
+        if found[name].kinds != found[first].kinds:
+            raise ValueError(
+                "`models` must have likelihoods that are densities of the same, got "
+                f"{', '.join(found[first].kinds)} for {first} and {', '.join(found[name].kinds)} for {name}: "
+                "their evidences have other units. Use one likelihood, or density='data' in both."
+            )
+    return found
+
+
+def candidate(name: str, value) -> Candidate:
+    """One model class, by the posterior or the posteriors of it."""
+    events = [value] if isinstance(value, xr.DataTree) else as_list(value)
+    if not events:
+        raise TypeError(message("models", "posteriors", f"{shown(value)} for {name}", SAMPLE_BOTH))
+    data, kinds = [], []
+    for event in events:
+        check_group(event, "models", "posterior", SAMPLE_BOTH, "chain", "draw")
+        stats = check_group(event, "models", "sample_stats", SAMPLE_BOTH).attrs
+        observed = check_group(event, "models", "observed_data", SAMPLE_BOTH)
+        if "likelihoods" not in stats:
+            wanted = "posteriors that say what their likelihoods are"
+            raise ValueError(message("models", wanted, f"none for {name}", SAMPLE_BOTH))
+        data += [(x.shape, x.values.astype(np.float64).tobytes()) for x in observed.data_vars.values()]
+        kinds += json.loads(stats["likelihoods"]).values()
+    total = product(map(evidence_of, events))
+    if not np.isfinite(total).all():
+        why = "`calibrate` stretches the likelihood" if "calibration" in events[0].children else "it has none"
+        wanted = "posteriors with an evidence and its standard error"
+        raise ValueError(message("models", wanted, f"none for {name}: {why}", SAMPLE_BOTH))
+    return Candidate(events, total, sorted(data), sorted(set(kinds)))
 
 
 def of_names(values, names, argument: str) -> dict:
@@ -197,13 +305,8 @@ def summary(result: xr.Dataset) -> dict:
     elif fails[best]:
         other = result["model"].values[~fails]
         sentences.append(f"It does not explain the data; {', '.join(other)} leave white residuals.")
-    message_ = " ".join(sentences)
-    return {
-        "best": str(name),
-        "decided": int(decided),
-        "explained": int(not fails.all()),
-        "message": message_,
-    }
+    flags = {"decided": int(decided), "explained": int(not fails.all())}
+    return {"best": str(name)} | flags | {"message": " ".join(sentences)}
 
 
 def averaged(predictions: dict, probabilities, rng) -> xr.Dataset:
@@ -234,3 +337,45 @@ def averaged(predictions: dict, probabilities, rng) -> xr.Dataset:
     ]
     labels = np.repeat(list(predictions), np.diff(edges))
     return xr.concat(chosen, "sample", join="override").assign_coords(model=("sample", labels))
+
+
+def stacking_weights(scores: np.ndarray) -> np.ndarray:
+    """Weights (model,) with the largest sum over events of ln sum_k w_k p_k(event).
+
+    `scores` (model, event) are ln p_k of each held-out event. The sum is concave in w; expectation and
+    maximisation climb it, and each step w_k <- mean_e w_k p_ke / sum_j w_j p_je stays on the simplex.
+
+    Yao, Vehtari, Simpson & Gelman, Bayesian Anal. 13, 917-1007 (2018), Eq. (4).
+    """
+    densities = np.exp(scores - scores.max(axis=0))
+    weights = np.full(len(scores), 1.0 / len(scores))
+    for _ in range(ITERATIONS):
+        shares = weights[:, None] * densities
+        new = (shares / shares.sum(axis=0)).mean(axis=1)
+        if np.abs(new - weights).max() < SMALL:
+            break
+        weights = new
+    return weights
+
+
+def residual_whiteness(model, idata) -> float:
+    """p-value of white residuals at the likeliest of some draws, of the worst sensor, times their number.
+
+    Ljung & Box, Biometrika 65, 1978, with 20 lags. Residuals are those that the likelihood takes to be
+    independent: of a `CorrelatedNormal` what each sample adds.
+    """
+    posterior, predictions = posterior_for(model, idata, "models"), Predictions(model)
+    values = [predictions(z) for z in some_draws(model, posterior)]
+    best = values[int(np.argmax([log_likelihood(value) for value in values]))]
+    p_values = [ljung_box(row) for value in best for row in value.residuals]
+    return float(min(1.0, len(p_values) * min(p_values)))
+
+
+def ljung_box(x: np.ndarray) -> float:
+    """p-value of a white series (time,)."""
+    n, x = len(x), x - x.mean()
+    lags = np.arange(1, min(LAGS, n // 5) + 1)
+    if not lags.size or not x.any():
+        return 1.0
+    correlations = np.array([x[k:] @ x[:-k] for k in lags]) / (x @ x)
+    return float(chi2.sf(n * (n + 2) * np.sum(correlations**2 / (n - lags)), len(lags)))

@@ -1,30 +1,49 @@
-"""`hierarchical`: what several events or specimens have in common, from the posterior of each."""
+"""`hierarchical`: what several events or specimens have in common, from the posterior of each.
+
+In the notation of Wu et al. (2019), psi are the parameters of the population, theta_e those of event e, d_e
+its data. The stored posterior of an event was sampled under a prior of its own, pi_e(theta), with evidence
+Z_e, and
+
+    p(d_e | psi) = integral p(d_e | theta) p(theta | psi) dtheta
+                 = Z_e E[ p(theta | psi) / pi_e(theta) ],    theta from the stored posterior,
+
+so that the population can be inferred without a new simulation.
+"""
 
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pymc as pm
+import pytensor
+import pytensor.tensor as pt
 import xarray as xr
+from pymc.model.fgraph import clone_model
+from pymc.pytensorf import compile as compile_function
+from pytensor.gradient import disconnected_grad
+from pytensor.graph.replace import graph_replace, vectorize_graph
+from pytensor.graph.traversal import ancestors
+from scipy.special import gammaln
 
-from pymc_features._checks import check_finite, check_integer, check_seed, message
-from pymc_features.events.checks import (
-    check_events,
-    check_hyper,
-    check_models,
-    flat_draws,
-    number_draws,
-    shared_names,
+from pymc_features._checks import (
+    as_list,
+    check_finite,
+    check_group,
+    check_integer,
+    check_keywords,
+    check_seed,
+    message,
+    shown,
 )
-from pymc_features.events.evidence import evidence_of
-from pymc_features.events.marginal import Marginal, Stored
-from pymc_features.events.population import Population, log_prior
-from pymc_features.events.weights import LARGEST_K
+from pymc_features.events.compare import Evidence, evidence_of, product
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.parameters import posterior_for
 from pymc_features.inference.sample import sample
-from pymc_features.keywords import check_keywords
+from pymc_features.smc.density.compilation import with_mode
+from pymc_features.smc.proposals.mixture import pareto_k
+from pymc_features.smc.proposals.pool import LARGEST_K
 
 ROUNDS = 3  # of sampling events again
 OF_SAMPLE = (
@@ -38,6 +57,9 @@ OF_SAMPLE = (
     "threshold",
 )
 OWN_SHARE = 0.1  # of an event's own prior, in that under which it is sampled again
+WIDER, DEGREES = 1.3, 5.0  # of the rest of that prior, over what is known of the population
+CHECKED, OFTEN = 200, 0.9  # values of psi at which weights are looked at, and how many of them must be good
+SAMPLE_THEM = "Pass what `sample` returned for each event."
 
 
 def hierarchical(
@@ -115,16 +137,16 @@ def hierarchical(
     sampling Korali calls Psi. Behmanesh, Moaveni, Lombaert & Papadimitriou, Mech. Syst. Signal Process.
     64-65, 360-376 (2015). Vehtari, Simpson, Gelman, Yao & Gabry, JMLR 25 (2024), for Pareto k.
     """
-    events, hyper = check_events(events), check_hyper(hyper)
-    models = check_models(models, events)
+    events = check_events(events)
+    models = check_models(hyper, models, len(events))
     event_draws = check_integer(event_draws, "event_draws", least=100)
     check_seed(random_seed, several=False)
-    population = Population(hyper, shared_names(hyper, events))
-    stored = [stored_draws(event, models and models[i], population, i) for i, event in enumerate(events)]
+    names = shared_names(hyper, events)
+    stored = [stored_draws(event, models and models[i], hyper, names, i) for i, event in enumerate(events)]
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(2)[1])
     check_keywords(settings, OF_SAMPLE, "hierarchical")
     settings["random_seed"] = random_seed
-    counts, marginal = np.zeros(len(events), dtype=int), Marginal(population, stored, event_draws)
+    counts, marginal = np.zeros(len(events), dtype=int), Marginal(hyper, names, stored, event_draws)
     for round_ in range(ROUNDS + 1):
         marginal.set(stored)
         idata = sample(model=marginal.model, **settings)
@@ -134,54 +156,306 @@ def hierarchical(
         again = [e for e in poor if models is not None and "calibration" not in events[e].children]
         if not again or round_ == ROUNDS:
             break
-        theta = population.next_event(rows, rng)
+        theta = marginal.next_event(rows, rng)
         for e in again:
             counts[e] += 1
-            stored[e] = sampled_again(models[e], population, theta, event_draws, settings)
+            stored[e] = sampled_again(models[e], names, theta, event_draws, settings)
     if poor.size:
         warn_of(poor, shapes, models)
     of_events = {"pareto_k": shapes, "sampled_again": counts}
     return described(idata, marginal, rows, of_events, events, rng)
 
 
-def stored_draws(event, model, population: Population, i: int) -> Stored:
+def check_events(events) -> list[xr.DataTree]:
+    """Two or more posteriors, as a list."""
+    listed = None if isinstance(events, xr.DataTree) else as_list(events)
+    if listed is None or len(listed) < 2:
+        got = shown(events) if listed is None else len(listed)
+        raise TypeError(message("events", "a sequence of two or more posteriors", got, SAMPLE_THEM))
+    for event in listed:
+        check_group(event, "events", "posterior", SAMPLE_THEM, "chain", "draw")
+    return listed
+
+
+def check_models(hyper, models, n: int) -> list[pm.Model] | None:
+    """Refuse what is no population model; the models of n events, if there are any."""
+    if not isinstance(hyper, pm.Model):
+        raise TypeError(message("hyper", "a pymc.Model of the population", shown(hyper)))
+    if not hyper.free_RVs:
+        raise ValueError(message("hyper", "a model with free variables", "none"))
+    if models is None:
+        return None
+    listed = as_list(models)
+    if listed is None or not all(isinstance(model, pm.Model) for model in listed):
+        advice = "Pass one of each event."
+        raise TypeError(message("models", "a sequence of pymc.Model", shown(models), advice))
+    if len(listed) != n:
+        raise ValueError(message("models", f"as many as `events`, {n}", len(listed)))
+    return listed
+
+
+def shared_names(hyper: pm.Model, events) -> list[str]:
+    """Variables of the population model that each event has."""
+    free = [rv.name for rv in hyper.free_RVs]
+    names = [name for name in free if all(name in event["posterior"].data_vars for event in events)]
+    if not names or len(names) == len(free):
+        wanted = "one with free variables that the events have, and others that these depend on"
+        got = f"{', '.join(free)}, of which the events have {', '.join(names) or 'none'}"
+        raise ValueError(message("hyper", wanted, got, "Call them by the names of the events' parameters."))
+    return names
+
+
+class Stored(NamedTuple):
+    """Draws (draw, ...) of what varies in the population, ln pi_e (draw,) of them, and ln Z_e of an event."""
+
+    draws: dict[str, np.ndarray]
+    log_prior: np.ndarray
+    evidence: Evidence
+
+
+def normalised(log_weights: np.ndarray) -> np.ndarray:
+    """Weights (..., draw) whose sum along the last axis is one."""
+    weights = np.exp(log_weights - log_weights.max(axis=-1, keepdims=True))
+    return weights / weights.sum(axis=-1, keepdims=True)
+
+
+def flat_draws(x: xr.DataArray) -> np.ndarray:
+    """Draws (draw, ...) of all chains."""
+    values = x.transpose("chain", "draw", ...).values
+    return values.reshape(-1, *values.shape[2:])
+
+
+def log_density(model: pm.Model, names: list[str]):
+    """ln p of some free variables given those that they depend on, as a graph.
+
+    Returns
+    -------
+    values : list of TensorVariable
+        One stands for each of the variables.
+    density : scalar TensorVariable
+    """
+    rvs = [model[name] for name in names]
+    values = [rv.type(name=rv.name) for rv in rvs]
+    terms = [pm.logp(rv, value).sum() for rv, value in zip(rvs, values, strict=True)]
+    return values, graph_replace(sum(terms), dict(zip(rvs, values, strict=True)), strict=False)
+
+
+def over_draws(graph, model: pm.Model) -> Callable:
+    """Function of draws (draw, ...) of free variables by name that gives a scalar graph at each, (draw,)."""
+    of_graph = set(ancestors([graph]))
+    rvs = [rv for rv in model.free_RVs if rv in of_graph]
+    many = [pt.tensor(rv.name, dtype=rv.dtype, shape=(None, *rv.type.shape)) for rv in rvs]
+    one = [rv.type(name=rv.name) for rv in rvs]
+    graph = graph_replace(graph, dict(zip(rvs, one, strict=True)), strict=False)
+    batch = vectorize_graph(graph, dict(zip(one, many, strict=True)))
+    function = compile_function(many, batch, mode="FAST_COMPILE", on_unused_input="ignore")
+
+    def at(draws):
+        columns = [np.asarray(draws[rv.name], dtype=rv.dtype) for rv in rvs]
+        return np.broadcast_to(function(*columns), len(columns[0])).astype(np.float64)
+
+    return at
+
+
+def log_prior(model: pm.Model, names: list[str]) -> Callable:
+    """Function of draws (draw, ...) by name that gives ln p (draw,) of some free variables."""
+    values, density = log_density(model, names)
+    rvs = {value: model[value.name] for value in values}
+    return over_draws(graph_replace(density, rvs, strict=False), model)
+
+
+def log_sum_exp(terms):
+    """ln sum_s exp(terms) (event,) of terms (event, draw).
+
+    In parts, not by `pt.logsumexp`, which in a population is a loop over its particles, and must be compiled.
+    """
+    largest = disconnected_grad(pt.max(terms, axis=1))
+    shift = pt.switch(pt.isinf(largest), 0.0, largest)
+    return pt.log(pt.exp(terms - shift[:, None]).sum(axis=1)) + shift
+
+
+def log_student(x, points: np.ndarray):
+    """ln of a Student-t density at a vector, a graph, with the mean of points (n, d) and more scatter."""
+    d = points.shape[1]
+    covariance = WIDER**2 * np.cov(points, rowvar=False).reshape(d, d)
+    factor = np.linalg.inv(np.linalg.cholesky(covariance))
+    squares = pt.sqr(pt.dot(factor, x - points.mean(axis=0))).sum()
+    constant = gammaln(0.5 * (DEGREES + d)) - gammaln(0.5 * DEGREES) - 0.5 * d * np.log(DEGREES * np.pi)
+    return constant + np.log(np.diag(factor)).sum() - 0.5 * (DEGREES + d) * pt.log1p(squares / DEGREES)
+
+
+class Marginal:
+    """A population model, and ln p(d_e | psi) / Z_e of all events from stored draws that may be exchanged.
+
+    Parameters
+    ----------
+    hyper : pymc.Model
+        The population.
+    names : list of str
+        Its variables that the events have.
+    stored : list of Stored
+    n : int
+        Draws of each event, at most.
+
+    Attributes
+    ----------
+    model : pymc.Model
+        Of psi alone, with ln p(d_e | psi) of all events as a potential.
+    density : function of psi by name
+        ln p(theta | psi) (event, draw) of the stored draws.
+    """
+
+    def __init__(self, hyper: pm.Model, names: list[str], stored: list[Stored], n: int):
+        self.hyper, self.names = hyper, names
+        self.parameters = [rv for rv in hyper.free_RVs if rv.name not in names]
+        self.n = min(n, *(len(one.log_prior) for one in stored))
+        self.columns = [pytensor.shared(self.thinned([one.draws[name] for one in stored])) for name in names]
+        self.log_weights = pytensor.shared(np.zeros((len(stored), self.n)))  # ln Z_e - ln pi_e(theta) - ln S
+        values, density = log_density(hyper, names)
+        densities = vectorize_graph(density, dict(zip(values, self.columns, strict=True)))
+        self.density = self.function_of_psi(densities, **with_mode({}, [densities]))
+        model = clone_model(hyper)
+        values, density = log_density(model, names)
+        densities = vectorize_graph(density, dict(zip(values, self.columns, strict=True)))
+        with model:
+            pm.Potential("log_likelihood_of_events", log_sum_exp(densities + self.log_weights).sum())
+        anywhere = {name: np.zeros(shape_of(hyper, name)) for name in names}  # no term asks for it any more
+        self.model = pm.do(model, anywhere)
+
+    def function_of_psi(self, graphs, **settings) -> Callable:
+        """Compile graphs of the population's parameters as a function of their values by name."""
+        inputs = [rv.type(name=rv.name) for rv in self.parameters]
+        graphs = graph_replace(graphs, dict(zip(self.parameters, inputs, strict=True)), strict=False)
+        return compile_function(inputs, graphs, on_unused_input="ignore", **settings)
+
+    def thinned(self, columns) -> np.ndarray:
+        """Take as many draws of each event (event, draw, ...), evenly spaced."""
+        return np.stack([x[np.linspace(0, len(x) - 1, self.n).round().astype(int)] for x in columns])
+
+    def set(self, stored: list[Stored]) -> None:
+        """Exchange the draws."""
+        self.stored = stored
+        for name, column in zip(self.names, self.columns, strict=True):
+            column.set_value(self.thinned([one.draws[name] for one in stored]))
+        self.log_weights.set_value(-self.thinned([one.log_prior for one in stored]) - np.log(self.n))
+
+    def rows(self, posterior) -> list[dict]:
+        """Draws of psi, one dictionary each."""
+        columns = {rv.name: flat_draws(posterior[rv.name]).astype(rv.dtype) for rv in self.parameters}
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+    def log_ratios(self, row: dict) -> np.ndarray:
+        """ln of p(theta | psi) / pi_e(theta) / S at the stored draws (event, draw)."""
+        return self.density(**row) + self.log_weights.get_value(borrow=True)
+
+    def pareto_k(self, rows: list[dict], rng: np.random.Generator) -> np.ndarray:
+        """Shape of each event's largest weights (event,), which nine tenths of psi do not exceed."""
+        some = rng.choice(len(rows), min(CHECKED, len(rows)), replace=False)
+        shapes = [[pareto_k(of_event) for of_event in self.log_ratios(rows[i])] for i in some]
+        return np.quantile(shapes, OFTEN, axis=0, method="higher")
+
+    def of_events(self, rows: list[dict], rng: np.random.Generator):
+        """Draws of theta (row, event, ...) given psi, and the variance of ln Z that the stored draws add.
+
+        By the delta method: ln Z moves with the mean over psi of the relative error of each p(d_e | psi).
+        """
+        n_events, n = self.log_weights.get_value(borrow=True).shape
+        chosen, total = np.empty((len(rows), n_events), dtype=int), np.zeros((n_events, n))
+        for i, row in enumerate(rows):
+            weights = normalised(self.log_ratios(row))
+            below = np.cumsum(weights, axis=-1) < rng.random(n_events)[:, None]
+            chosen[i] = below.sum(axis=-1).clip(max=n - 1)
+            total += weights
+        relative = n * total / len(rows)
+        columns = zip(self.names, self.columns, strict=True)
+        theta = {name: x.get_value(borrow=True)[np.arange(n_events), chosen] for name, x in columns}
+        return theta, float(relative.var(axis=1).sum() / n)
+
+    def next_event(self, rows: list[dict], rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Draws (row, ...) of theta for an event that has not been seen, one for each row of psi."""
+        theta, seed = [self.hyper[name] for name in self.names], int(rng.integers(2**30))
+        function = self.function_of_psi(theta, mode="FAST_COMPILE", random_seed=seed)
+        columns = zip(*(function(**row) for row in rows), strict=True)
+        return {name: np.stack(column) for name, column in zip(self.names, columns, strict=True)}
+
+
+def as_prior(model: pm.Model, names: list[str], theta: dict[str, np.ndarray], share: float):
+    """The model of an event with another prior of theta: what is known of the next event, and its own.
+
+    Parameters
+    ----------
+    model : pymc.Model
+    names : list of str
+        What varies in the population.
+    theta : dict of arrays (draw, ...)
+        Draws from the population, of which the new prior has the mean and, somewhat wider, the covariance.
+    share : float
+        Of the model's own prior, so that nothing that was possible becomes impossible.
+
+    Returns
+    -------
+    model : pymc.Model
+    relative : function of draws (draw, ...) by name
+        ln of the new prior over the old one, (draw,).
+    """
+    model = clone_model(model)
+    values, old = log_density(model, names)
+    flat = pt.concatenate([pt.flatten(value) for value in values])
+    new = log_student(flat, np.hstack([theta[name].reshape(len(theta[name]), -1) for name in names]))
+    relative = pt.logaddexp(np.log1p(-share) + new - old, np.log(share))
+    relative = graph_replace(relative, {value: model[value.name] for value in values}, strict=False)
+    with model:
+        pm.Potential("log_prior_of_population", relative)
+    return model, over_draws(relative, model)
+
+
+def shape_of(hyper: pm.Model, name: str) -> tuple[int, ...]:
+    """Shape of a variable of one event."""
+    return tuple(hyper[name].shape.eval(mode="FAST_COMPILE"))
+
+
+def stored_draws(event, model, hyper: pm.Model, names: list[str], i: int) -> Stored:
     """What the posterior of event i tells."""
     if model is not None:
         posterior_for(model, event, "events")
-    draws = number_draws(event["posterior"].to_dataset())
-    for name in population.names:
+    posterior = event["posterior"].to_dataset()
+    draws = {
+        name: flat_draws(x)
+        for name, x in posterior.data_vars.items()
+        if {"chain", "draw"} <= set(x.dims) and x.dtype.kind in "biuf"
+    }
+    for name in names:
         if name not in draws:
             raise ValueError(message("events", f"posteriors with numbers for {name}", f"none in event {i}"))
         check_finite(draws[name], "events", f"Those are draws of {name} in event {i}.")
-        if draws[name].shape[1:] != population.shape(name):
-            wanted = f"posteriors with {name} of shape {population.shape(name)}, as in `hyper`"
+        if draws[name].shape[1:] != shape_of(hyper, name):
+            wanted = f"posteriors with {name} of shape {shape_of(hyper, name)}, as in `hyper`"
             raise ValueError(message("events", wanted, f"{draws[name].shape[1:]} in event {i}"))
     if model is not None:
-        if missing := [name for name in population.names if name not in model.named_vars]:
+        if missing := [name for name in names if name not in model.named_vars]:
             raise ValueError(message("models", f"ones with {', '.join(missing)}", f"none in model {i}"))
-        prior = log_prior(model, population.names)(draws)
-    elif "log_prior" in event.children and set(population.names) <= set(event["log_prior"].data_vars):
-        terms = [flat_draws(event["log_prior"][name]) for name in population.names]
+        prior = log_prior(model, names)(draws)
+    elif "log_prior" in event.children and set(names) <= set(event["log_prior"].data_vars):
+        terms = [flat_draws(event["log_prior"][name]) for name in names]
         prior = sum(term.reshape(len(term), -1).sum(axis=1) for term in terms)
         check_finite(prior, "events", f"That is `log_prior` of event {i}.")
     else:
         raise ValueError(
-            f"`events` must have a group `log_prior` of {', '.join(population.names)} where `models` are "
+            f"`events` must have a group `log_prior` of {', '.join(names)} where `models` are "
             f"left out, got none in event {i}. Pass `models`, or call pymc.compute_log_prior()."
         )
-    draws = {name: draws[name] for name in population.names}
-    return Stored(draws, prior, *evidence_of(event))
+    return Stored({name: draws[name] for name in names}, prior, evidence_of(event))
 
 
-def sampled_again(model, population: Population, theta, draws: int, settings: dict) -> Stored:
+def sampled_again(model, names: list[str], theta, draws: int, settings: dict) -> Stored:
     """An event's posterior under what draws of the population tell of the next event."""
-    model, relative = population.as_prior(model, theta, OWN_SHARE)
+    model, relative = as_prior(model, names, theta, OWN_SHARE)
     chains = settings.get("chains") or 2
     idata = sample(model=model, **settings | {"draws": -(-draws // chains), "chains": chains})
     posterior = idata["posterior"].to_dataset()
     every = {rv.name: flat_draws(posterior[rv.name]) for rv in model.free_RVs}
-    prior = log_prior(model, population.names)(every) + relative(every)
-    return Stored({name: every[name] for name in population.names}, prior, *evidence_of(idata))
+    prior = log_prior(model, names)(every) + relative(every)
+    return Stored({name: every[name] for name in names}, prior, evidence_of(idata))
 
 
 def warn_of(poor, shapes, models) -> None:
@@ -198,16 +472,19 @@ def warn_of(poor, shapes, models) -> None:
 
 def described(idata, marginal: Marginal, rows, of_events: dict, sources, rng) -> xr.DataTree:
     """The result: the population's posterior, and what it says of each event and of the next."""
-    posterior, population = idata["posterior"].to_dataset(), marginal.population
+    posterior, hyper = idata["posterior"].to_dataset(), marginal.hyper
     sizes = posterior.sizes["chain"], posterior.sizes["draw"]
-    idata["posterior"] = xr.DataTree(posterior.drop_vars(population.follow, errors="ignore"))
-    evidence, error = marginal.evidence(), idata["sample_stats"].attrs["log_evidence_se"]
+    theta = {hyper[name] for name in marginal.names}  # what follows from it is of one event
+    follow = [v.name for v in hyper.deterministics if theta & set(ancestors([v]))]
+    idata["posterior"] = xr.DataTree(posterior.drop_vars(follow, errors="ignore"))
+    evidence = product(one.evidence for one in marginal.stored)
+    error = idata["sample_stats"].attrs["log_evidence_se"]
     theta, noise = marginal.of_events(rows, rng)
     idata["sample_stats"].attrs["log_evidence"] += evidence.value
     idata["sample_stats"]["log_marginal_likelihood"] += evidence.value
     idata["sample_stats"].attrs["log_evidence_se"] = float(np.sqrt(error**2 + evidence.error**2 + noise))
-    dims = {name: [f"{name}_dim_{i}" for i in range(len(population.shape(name)))] for name in theta}
-    dims |= {name: list(found) for name, found in population.model.named_vars_to_dims.items()}
+    dims = {name: [f"{name}_dim_{i}" for i in range(len(shape_of(hyper, name)))] for name in theta}
+    dims |= {name: list(found) for name, found in hyper.named_vars_to_dims.items()}
 
     def shaped(values, *more):
         return {
@@ -215,14 +492,14 @@ def described(idata, marginal: Marginal, rows, of_events: dict, sources, rng) ->
             for name, x in values.items()
         }
 
-    coords = {dim: x for dim, x in population.model.coords.items() if x is not None}
+    coords = {dim: x for dim, x in hyper.coords.items() if x is not None}
     used = {dim for name in theta for dim in dims[name]}
     coords = {"chain": posterior["chain"], "draw": posterior["draw"]} | {
         dim: list(x) for dim, x in coords.items() if dim in used
     }
     events = shaped(theta, "event") | {name: ("event", x) for name, x in of_events.items()}
     idata["events"] = xr.DataTree(xr.Dataset(events, coords))
-    idata["predictive"] = xr.DataTree(xr.Dataset(shaped(population.next_event(rows, rng)), coords))
+    idata["predictive"] = xr.DataTree(xr.Dataset(shaped(marginal.next_event(rows, rng)), coords))
     if "constant_data" in idata.children:
         del idata["constant_data"]
     with_data_of(idata, sources)

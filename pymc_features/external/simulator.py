@@ -8,13 +8,12 @@ from numpy.typing import ArrayLike
 from pytensor.graph.basic import Variable
 from pytensor.tensor.variable import TensorVariable
 
-from pymc_features._checks import as_numbers, message
+from pymc_features._checks import as_numbers, check_keywords, message
 from pymc_features.exceptions import UnknownIdentityError
 from pymc_features.external.checks import check_simulator
 from pymc_features.external.evaluator import EvaluationOptions, Evaluator, Failure, Task
 from pymc_features.external.gradient import FlatGradient
 from pymc_features.fingerprint import fingerprint
-from pymc_features.keywords import check_keywords
 from pymc_features.ops import ExternalResponse, as_tensor
 
 

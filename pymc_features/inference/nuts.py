@@ -11,11 +11,10 @@ import pytensor.tensor as pt
 import xarray as xr
 from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
-from pymc_features._checks import check_integer, check_mapping, check_model, check_seed, shown
+from pymc_features._checks import check_integer, check_keywords, check_mapping, check_model, check_seed, shown
 from pymc_features.exceptions import ChainsDisagreeWarning
 from pymc_features.inference.parameters import check_continuous, posterior_for, to_unconstrained
 from pymc_features.inference.sample import sample
-from pymc_features.keywords import check_keywords
 from pymc_features.smc import processors
 
 NUTS_SAMPLERS = ("pymc", "nutpie", "numpyro", "blackjax")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import warn_caller
 from pymc_features.io.channels import (
     check_column,
     checked_request,

@@ -11,6 +11,7 @@ from pymc_features._checks import (
     LARGEST_COUNT,
     SAMPLING_INTERVAL,
     as_list,
+    check_choice,
     check_finite,
     check_flag,
     check_integer,
@@ -24,7 +25,6 @@ from pymc_features._checks import (
     shown,
     single,
 )
-from pymc_features._checks.texts import check_choice
 from pymc_features.io.formats import format_of
 from pymc_features.io.formats.sources import is_source, recording_in
 from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time, without_clocks

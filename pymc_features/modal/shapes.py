@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import warn_caller
 from pymc_features.exceptions import ModalDataWarning
 
 COLLINEAR = 0.9  # modal phase collinearity below which a real shape stands badly for a complex one

@@ -11,9 +11,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from pymc_features._checks import check_integer, check_seed, message
+from pymc_features._checks import check_integer, check_keywords, check_seed, message
 from pymc_features.exceptions import PredictionWarning
-from pymc_features.keywords import check_keywords
 from pymc_features.prediction.ensemble import Ensemble
 from pymc_features.records import DynamicLoad
 

@@ -3,8 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import check_finite, check_number, is_number, message, shown, single
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import check_finite, check_number, is_number, message, shown, single, warn_caller
 from pymc_features.exceptions import ChannelWarning
 
 

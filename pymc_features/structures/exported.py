@@ -6,8 +6,7 @@ from os import PathLike
 import numpy as np
 from scipy import sparse
 
-from pymc_features._checks import as_list, check_number, check_path, listed, message, shown
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import as_list, check_number, check_path, listed, message, shown, warn_caller
 from pymc_features.io import read_matrices
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.units import system_of_units

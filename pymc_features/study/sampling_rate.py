@@ -11,11 +11,10 @@ from typing import TypedDict, Unpack
 import pymc as pm
 import xarray as xr
 
-from pymc_features._checks import check_callable, check_flag, check_integer, check_path
+from pymc_features._checks import check_callable, check_flag, check_integer, check_keywords, check_path
 from pymc_features.calibration import calibrate
 from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.inference import sample
-from pymc_features.keywords import check_keywords
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.likelihoods.free import exact_tolerance
 from pymc_features.records import Record

@@ -8,8 +8,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
 from pymc_features import compare, sample, sample_smc
-from pymc_features.events.stacking import stacking_weights
-from pymc_features.events.whiteness import ljung_box
+from pymc_features.events.compare import ljung_box, stacking_weights
 
 QUIET = {"cores": 1, "chains": 2, "random_seed": 1, "progressbar": False}
 TIME, NOISE = np.linspace(0.0, 6.0, 60), 0.3

@@ -6,8 +6,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from pymc_features import continue_with, sample, sample_in_sequence
-from pymc_features.events.sequence import run
-from pymc_features.events.sequence.density import FittedDensity
+from pymc_features.events import sequence as run
+from pymc_features.events.sequence import FittedDensity
 from pymc_features.exceptions import StudyMismatchError
 
 QUIET = {"cores": 1, "progressbar": False}

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from pymc_features import cli, structures
-from pymc_features.events.sequence import run as sequence_run
+from pymc_features.events import sequence as sequence_run
 from pymc_features.exceptions import ChannelWarning, ConfigError, StudyMismatchError
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.simulators import simulate

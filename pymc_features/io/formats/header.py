@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import warn_caller
 from pymc_features.io.reading.lines import Lines, to_count, to_number
 from pymc_features.io.reading.recording import Channel, Format, Opening, Recording
 from pymc_features.io.reading.units import known_factor

@@ -21,8 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks import listed
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import listed, warn_caller
 from pymc_features.io.formats.matlab import load_variables, recording_of_variables
 from pymc_features.io.formats.sources import channels_of, recording_in
 from pymc_features.io.reading.labels import Unit, unit_of

@@ -15,7 +15,7 @@ from io import StringIO
 
 import numpy as np
 
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import warn_caller
 from pymc_features.io.formats.header import (
     check_end,
     check_peak,

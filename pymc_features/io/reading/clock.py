@@ -5,8 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import is_number, listed, shown, single, to_float
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import is_number, listed, shown, single, to_float, warn_caller
 from pymc_features.exceptions import ChannelWarning
 from pymc_features.io.reading.labels import unit_of
 

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks import message, shown
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import message, shown, warn_caller
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
 _WHOLE = re.compile(r"[-+]?\d+", re.ASCII)

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import SAMPLING_INTERVAL, listed, shown
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import SAMPLING_INTERVAL, listed, shown, warn_caller
 from pymc_features.io.reading.clock import Clock, at_samples, check_increasing, even_clock
 from pymc_features.io.reading.labels import MEASURED, NO_HISTORY, Label, role_of
 from pymc_features.io.reading.lines import decoded

@@ -4,8 +4,15 @@ import re
 
 import numpy as np
 
-from pymc_features._checks import SAMPLING_INTERVAL, check_positive, is_number, message, shown, single
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import (
+    SAMPLING_INTERVAL,
+    check_positive,
+    is_number,
+    message,
+    shown,
+    single,
+    warn_caller,
+)
 from pymc_features.io.reading.labels import MASSES, SI, UNITS, Unit, unit_of
 
 _SENSITIVITY = re.compile(r"\s*(\d+\.?\d*(?:[eE][-+]?\d+)?)\s*([^\s/\d]+)\s*(?:/|per)\s*(.+?)\s*")

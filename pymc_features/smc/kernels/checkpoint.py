@@ -23,7 +23,7 @@ from pytensor.graph.basic import Constant
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.random.type import RandomGeneratorType
 
-from pymc_features._checks.messages import says_where_it_is_full
+from pymc_features._checks import says_where_it_is_full
 from pymc_features.exceptions import CheckpointError
 
 MAGIC = b"pymc_features journal 2\n"

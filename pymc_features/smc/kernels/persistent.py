@@ -6,8 +6,7 @@ import numpy as np
 import pymc as pm
 from pymc.util import RandomState
 
-from pymc_features._checks import check_flag, check_model, message, shown
-from pymc_features.keywords import check_keywords
+from pymc_features._checks import check_flag, check_keywords, check_model, message, shown
 from pymc_features.smc.density.prior import are_logits
 from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel
 from pymc_features.smc.kernels.chains import Chains

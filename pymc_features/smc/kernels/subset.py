@@ -7,9 +7,8 @@ import numpy as np
 import pymc as pm
 from pymc.util import RandomState
 
-from pymc_features._checks import check_share, is_number, shown, single
+from pymc_features._checks import check_keywords, check_share, is_number, shown, single
 from pymc_features.exceptions import SubsetSimulationWarning, ToleranceNotReachedError
-from pymc_features.keywords import check_keywords
 from pymc_features.smc.density.discrepancy import SimulatorNode
 from pymc_features.smc.density.evaluation import population_logp
 from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel

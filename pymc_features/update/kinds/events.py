@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from pymc_features import plots
 from pymc_features._checks import listed
-from pymc_features.events.sequence.run import states_in_sequence
+from pymc_features.events.sequence import states_in_sequence
 from pymc_features.exceptions import ConfigError, StudyMismatchError
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.config.messages import shown

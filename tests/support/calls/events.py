@@ -55,7 +55,7 @@ CALLS = {
             "draws": {"None"},
             "random_seed": ONE_SEED,
         },
-        instead={"pymc_features.events.sequence.continuing.FittedDensity": work},
+        instead={"pymc_features.events.sequence.FittedDensity": work},
         more={"idata": ODD_TREES},
     ),
     "sample_in_sequence": Call(
@@ -74,7 +74,7 @@ CALLS = {
             "random_seed": ONE_SEED,
         },
         {"model": ["events"]},
-        instead={"pymc_features.events.sequence.run.PartStore": work},
+        instead={"pymc_features.events.sequence.PartStore": work},
     ),
     "sensor_placement": Call(
         pmf.sensor_placement,

@@ -1,7 +1,11 @@
-"""`continue_with`: one more event, with the posterior of those before as its prior."""
+"""Updating in sequence: the posterior of one event is the prior of the next."""
 
+import os
 import warnings
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Unpack
 
 import numpy as np
 import pymc as pm
@@ -9,37 +13,48 @@ import pytensor.tensor as pt
 import xarray as xr
 
 from pymc_features._checks import (
+    as_list,
     check_finite,
     check_group,
     check_integer,
+    check_keywords,
     check_mapping,
     check_model,
+    check_path,
     check_positive,
     check_seed,
     check_share,
     is_number,
     message,
+    shown,
     single,
 )
-from pymc_features.events.evidence import evidence_of
-from pymc_features.events.sequence.density import FittedDensity
-from pymc_features.events.sequence.kernel import ContinuedSMC
-from pymc_features.events.weights import normalised
-from pymc_features.exceptions import SamplingWarning
+from pymc_features.events.compare import evidence_of
+from pymc_features.events.hierarchical import normalised
+from pymc_features.exceptions import SamplingWarning, StudyMismatchError
 from pymc_features.inference.parameters import (
     Unconstrained,
     check_continuous,
     posterior_for,
     to_unconstrained,
 )
-from pymc_features.inference.sample import summarise
-from pymc_features.keywords import check_keywords
-from pymc_features.smc import population_logp, sample_smc
+from pymc_features.inference.sample import sample, summarise
+from pymc_features.smc import PersistentSMC, open_workers, population_logp, sample_smc
+from pymc_features.smc.kernels.base import KernelOptions
+from pymc_features.smc.kernels.checkpoint import model_fingerprint
+from pymc_features.smc.proposals.fitted import Unbent, fit_unbent
 from pymc_features.smc.proposals.mixture import equal_draws
+from pymc_features.smc.proposals.proposal import StudentMixture, StudentT, distinct, fit_mixture, moments
+from pymc_features.storage import PartStore
 
 OWN_SHARE = 0.2  # of the model's own prior among the draws; it does not change the posterior
 FOR_ERROR = 200  # draws whose likelihood is asked for again
 ALARM = 0.5  # probability of a change from which there is an alarm
+HELD_OUT = 0.25  # share of the draws that decide between the kinds of fits
+SMALLEST = -300.0  # log-density that a held-out draw has at least in that decision
+CLEARLY = 0.01  # nats for each draw by which more must be better than a Gaussian: what it adds is noise else
+GAUSSIAN = 1e6  # degrees of freedom
+OF_RUN = ("drift", "forgetting", "change")  # of `continue_with` alone
 OF_SAMPLE_SMC = (
     "cores",
     "executor",
@@ -138,13 +153,15 @@ def continue_with(
     check_continuous(model, "continue_with()")
     posterior = posterior_for(model, idata, "idata")
     drift = check_drift(drift, model)
-    forgetting, change = check_forgetting(forgetting), check_share(change, "change", "Use for example 0.005.")
+    change = check_share(change, "change", "Use for example 0.005.")
+    if not (is_number(single(forgetting)) and forgetting == 1):
+        forgetting = check_share(forgetting, "forgetting", "1 forgets nothing.")
     draws = posterior.sizes["draw"] if draws is None else check_integer(draws, "draws", least=100)
     check_seed(random_seed, several=False)
     check_keywords(settings, OF_SAMPLE_SMC, "continue_with")
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(3)[2])
     points = moved(model, posterior, drift, rng)
-    before = FittedDensity(points, rng, forgetting)
+    before = FittedDensity(points, rng, float(forgetting))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "PersistentSMC ended", SamplingWarning)  # `advice` says it
         result = sample_smc(
@@ -162,10 +179,207 @@ def continue_with(
     result["sample_stats"].attrs |= summary
     record = sequence_of(idata, model)
     scores = judged(model, result, before, len(points) / record.sizes["event"], change, rng)
-    result["sequence"] = xr.DataTree(with_event(record, result, scores, model))
+    latest = entry(result, scores, model, int(record["event"].values[-1]) + 1)
+    result["sequence"] = xr.DataTree(xr.concat([record, latest], "event", join="override"))
     if summary["advice"]:
         warnings.warn(summary["advice"], SamplingWarning, stacklevel=2)
     return result
+
+
+def sample_in_sequence(
+    events: Sequence[pm.Model | Mapping],
+    *,
+    model: pm.Model | None = None,
+    out: str | os.PathLike | None = None,
+    draws: int = 4000,
+    chains: int = 2,
+    random_seed: int = 0,
+    **settings,
+) -> xr.DataTree:
+    """Sample the first event with its prior, and each that follows with the posterior of those before.
+
+    Parameters
+    ----------
+    events : sequence of pymc.Model, or of dict
+        A model for each event, or with `model` what `pymc.set_data` is to put into it: then nothing is
+        compiled again from event to event.
+    model : pymc.Model, optional
+        With `pymc.Data`.
+    out : path-like, optional
+        Folder that keeps the posterior after each event. A run that was killed goes on from there, and so
+        does one with more events at the end.
+    draws, chains : int
+        Of each posterior.
+    random_seed : int
+        For the same draws each time.
+    **settings
+        Of `continue_with`; those that `sample` has are for the first event, too.
+
+    Returns
+    -------
+    DataTree
+        As from `continue_with`, after the last event; of one event alone `sequence` has one entry.
+
+    Raises
+    ------
+    StudyMismatchError
+        If the folder holds other settings, or another event at some place.
+
+    See Also
+    --------
+    plot_sequence : parameters and alarms, event by event.
+    """
+    with open_workers(settings.pop("executor", None)) as workers:
+        if workers is not None:
+            settings["executor"] = workers
+        states = states_in_sequence(
+            events, model=model, out=out, draws=draws, chains=chains, random_seed=random_seed, **settings
+        )
+        return deque(states, maxlen=1).pop()
+
+
+def states_in_sequence(
+    events, *, model=None, out=None, draws=4000, chains=2, random_seed=0, **settings
+) -> Iterator[xr.DataTree]:
+    """The posterior after each event, one by one; arguments as of `sample_in_sequence`."""
+    listed = as_list(events)
+    if not listed or not all(
+        isinstance(event, Mapping if model is not None else pm.Model) for event in listed
+    ):
+        wanted = "a sequence of pymc.Model, or with `model` of dicts for pymc.set_data"
+        raise TypeError(message("events", wanted, shown(events)))
+    for name, value, least in (("draws", draws, 100), ("chains", chains, 1)):
+        check_integer(value, name, least=least)
+    check_seed(random_seed, several=False)
+    if out is not None:
+        check_path(out, "out")
+    if model is not None:
+        check_model(model)
+    run = {"draws": int(draws), "chains": int(chains), "random_seed": random_seed}
+    run |= {name: settings[name] for name in OF_RUN if name in settings}
+    store, idata = PartStore(out, run, "sequence"), None
+    for i, event in enumerate(listed):
+        of_event = model if model is not None else event
+        if model is not None:
+            pm.set_data(event, model=model)
+        name, print_ = f"{i:05d}", model_fingerprint(of_event)
+        known = store.load(name)
+        if known is not None and known.attrs["model"] != print_:
+            raise StudyMismatchError(
+                f"`out` must hold the same events, got {out} with another one at place {i}. Choose another "
+                "folder, or delete this one."
+            )
+        if known is None:
+            known = one_event(idata, of_event, i, run, settings)
+            known.attrs["model"] = print_
+            store.save(name, known)
+        idata = known
+        yield idata
+
+
+def one_event(before, model, i: int, run: dict, settings: dict) -> xr.DataTree:
+    """The posterior after event i."""
+    seed = None if run["random_seed"] is None else run["random_seed"] + i
+    if before is None:
+        own = {name: value for name, value in settings.items() if name not in OF_RUN}
+        first = sample(run["draws"], chains=run["chains"], model=model, random_seed=seed, **own)
+        first["sequence"] = xr.DataTree(sequence_of(first, model))
+        return first
+    return continue_with(before, model=model, draws=run["draws"], random_seed=seed, **settings)
+
+
+class FittedDensity:
+    """Student-t mixture, behind an unbending map where that is clearly better; normalised, drawn from
+    exactly.
+
+    Parameters
+    ----------
+    points : array (n, d)
+        Draws, on the scale they are sampled on; some may be there many times.
+    rng : Generator
+    forgetting : float
+        Covariances are divided by it.
+    """
+
+    def __init__(self, points: np.ndarray, rng: np.random.Generator, forgetting: float = 1.0):
+        fitted = best_fit(*distinct(points), rng)
+        self.map, mixture = (fitted.map, fitted.mixture) if isinstance(fitted, Unbent) else (None, fitted)
+        wider = [StudentT(c.location, c.factor / np.sqrt(forgetting), c.degrees) for c in mixture.components]
+        self.mixture = StudentMixture(wider, mixture.weights)
+
+    def log_density(self, x: np.ndarray) -> np.ndarray:
+        """ln q (n,) at points (n, d)."""
+        if self.map is None:
+            return self.mixture.log_density(x)
+        return Unbent(self.map, self.mixture).log_density(x)
+
+    def draw(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """Independent draws (n, d)."""
+        z = self.mixture.draw(n, rng)
+        return z if self.map is None else self.map.inverse(z)
+
+
+def best_fit(x, weights, rng):
+    """Choose from a Gaussian, a mixture and two behind maps by the density at points they have not seen.
+
+    All but the first must be better by more than what a fit to some thousand draws gains by chance.
+    """
+    weights = np.asarray(weights, dtype=float)
+    order = rng.permutation(len(x))
+    held, rest = np.split(order, [int(HELD_OUT * len(x))])
+
+    def score(kind):
+        try:
+            density = kind(x[rest], weights[rest], rng).log_density(x[held])
+        except (np.linalg.LinAlgError, ValueError):
+            return -np.inf
+        return weights[held] @ np.maximum(density, SMALLEST) / weights[held].sum()
+
+    kinds = [fit_gaussian, fit_mixture, fit_unbent, partial(fit_unbent, rotated=False)]
+    scores = np.array([score(kind) for kind in kinds]) - CLEARLY * np.array([0.0, 1.0, 1.0, 1.0])
+    return kinds[int(scores.argmax())](x, weights, rng)
+
+
+def fit_gaussian(x, weights, rng) -> StudentMixture:
+    """Mean and covariance, as a mixture of one."""
+    shares = weights / weights.sum()
+    return StudentMixture([StudentT(*moments(x, shares, shares), GAUSSIAN)], np.ones(1))
+
+
+class ContinuedSMC(PersistentSMC):
+    """`PersistentSMC` whose prior is another one than the model's.
+
+    With a share c of the model's own prior pi, lest a structure that has changed be looked for where it was,
+
+        pi_e(theta) = (1 - c) q(theta) + c pi(theta).
+
+    Parameters
+    ----------
+    before : FittedDensity
+        q, what is known from the events before.
+    share : float
+        c.
+    """
+
+    def __init__(
+        self, draws: int = 2000, *, before: FittedDensity, share: float, **kwargs: Unpack[KernelOptions]
+    ):
+        super().__init__(draws, **kwargs)
+        self.before, self.share = before, share
+
+    def evaluate(self, particles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Log prior and log-likelihood, each (p,), of particles (p, d); counts evaluations and failures."""
+        prior, likelihood = super().evaluate(particles)
+        known = np.log1p(-self.share) + self.before.log_density(particles)
+        mixed = np.logaddexp(known, np.log(self.share) + prior)
+        return np.where(prior > -np.inf, mixed, -np.inf), likelihood
+
+    def initial_particles(self, n: int) -> np.ndarray:
+        """Draws (n, d) from this prior."""
+        n_own = self.rng.binomial(n, self.share)
+        known = self.before.draw(n - n_own, self.rng)
+        particles = np.concatenate([known, super().initial_particles(n_own)]) if n_own else known
+        return particles[self.rng.permutation(n)]
 
 
 def check_drift(drift, model) -> dict[str, float]:
@@ -175,14 +389,6 @@ def check_drift(drift, model) -> dict[str, float]:
     if unknown := sorted(set(drift) - set(names)):
         raise ValueError(message("drift", f"of the parameters {', '.join(names)}", ", ".join(unknown)))
     return {name: check_positive(value, "drift", f"That is of {name}.") for name, value in drift.items()}
-
-
-def check_forgetting(value) -> float:
-    """A share of the precision, one included."""
-    number = single(value)
-    if is_number(number) and number == 1:
-        return 1.0
-    return check_share(number, "forgetting", "1 forgets nothing.")
 
 
 def moved(model, posterior: xr.Dataset, drift: dict[str, float], rng) -> np.ndarray:
@@ -260,12 +466,6 @@ def sequence_of(idata, model) -> xr.Dataset:
         "alarm": 0,
     }
     return entry(idata, scores, model, 0)
-
-
-def with_event(sequence: xr.Dataset, result, scores: dict, model) -> xr.Dataset:
-    """The record with one more entry."""
-    number = int(sequence["event"].values[-1]) + 1
-    return xr.concat([sequence, entry(result, scores, model, number)], "event", join="override")
 
 
 def entry(idata, scores: dict, model, number: int) -> xr.Dataset:
