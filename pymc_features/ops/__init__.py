@@ -26,7 +26,7 @@ from pymc_features.ops.response import (
     structural_node,
 )
 from pymc_features.ops.time_axis import check_dims, known_dims, name_the_time_axis
-from pymc_features.structures.variables import as_tensor
+from pymc_features.structures.base import as_tensor
 
 OPS = numba_dispatch.OPS
 

@@ -22,7 +22,7 @@ from pymc_features.ops.external import ExternalResponse
 from pymc_features.ops.gradient import Gradient, ResponseTangent, Tangent, gradient_op
 from pymc_features.ops.long_records import FromTable
 from pymc_features.ops.response import StructuralResponse, response_node
-from pymc_features.structures.variables import as_tensor
+from pymc_features.structures.base import as_tensor
 
 HISTORY = "Pass a history (..., sensor, time)."
 

@@ -8,7 +8,7 @@ from pytensor.graph.basic import Constant
 
 from pymc_features._checks import message, shown
 from pymc_features.ops.response import response_step
-from pymc_features.structures.variables import as_tensor
+from pymc_features.structures.base import as_tensor
 
 
 def check_dims(dims, ndim: int | None = None) -> tuple | None:

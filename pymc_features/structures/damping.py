@@ -9,18 +9,24 @@ from numpy.typing import ArrayLike
 from pytensor.graph.basic import Variable
 
 from pymc_features._checks import as_numbers, shown
-from pymc_features.structures.base import Values, as_vector, spread, static_length
-from pymc_features.structures.inputs import Input, scalar, vector
-from pymc_features.structures.variables import holds_variables, unpacked
+from pymc_features.structures.base import (
+    NOT_NEGATIVE,
+    Described,
+    Values,
+    as_vector,
+    holds_variables,
+    scalar,
+    spread,
+    static_length,
+    unpacked,
+    vector,
+)
+
+RATIO = "fractions of critical damping"
 
 
-class Damping(ABC):
-    """Classical damping: zeta_r = alpha / (2 omega_r) + beta omega_r / 2 + ratio_r.
-
-    `inputs` are its arguments in a file, as of a `Structure`.
-    """
-
-    inputs: dict[str, Input]
+class Damping(Described, ABC):
+    """Classical damping: zeta_r = alpha / (2 omega_r) + beta omega_r / 2 + ratio_r."""
 
     @abstractmethod
     def coefficients(self, n: int) -> tuple:
@@ -44,11 +50,10 @@ class RayleighDamping(Damping):
     0.201062 0.001273
     """
 
-    inputs = {"alpha": scalar("1/s"), "beta": scalar("s")}
+    inputs = {"alpha": scalar("1/s", NOT_NEGATIVE), "beta": scalar("s", NOT_NEGATIVE)}
 
     def __init__(self, alpha: float | Variable, beta: float | Variable):
-        self.alpha = _scalar(alpha, "alpha", "1/s")
-        self.beta = _scalar(beta, "beta", "s")
+        self.take(alpha=alpha, beta=beta)
 
     def __repr__(self):
         return f"RayleighDamping(alpha={self.alpha}, beta={self.beta})"
@@ -86,7 +91,7 @@ class RayleighDamping(Damping):
                 f"`natural_frequencies` must be two different positive values, got "
                 f"{shown(natural_frequencies)}. Pass the two frequencies in Hz."
             )
-        zeta = as_vector(ratios, "ratios", "fractions of critical damping", allow_zero=True)
+        zeta = as_vector(ratios, "ratios", RATIO, NOT_NEGATIVE)
         if zeta.shape not in ((), (1,), (2,)):
             raise ValueError(f"`ratios` must be one value or one for each frequency, got {zeta.size}.")
         zeta = np.broadcast_to(zeta, 2)
@@ -116,10 +121,10 @@ class ModalDamping(Damping):
         zeta_r [-], not negative, in ascending order of frequency; one value stands for all modes.
     """
 
-    inputs = {"ratios": vector("-")}
+    inputs = {"ratios": vector("-", NOT_NEGATIVE, RATIO)}
 
     def __init__(self, ratios: Values):
-        self.ratios = as_vector(ratios, "ratios", "fractions of critical damping", allow_zero=True)
+        self.take(ratios=ratios)
 
     def __repr__(self):
         return f"ModalDamping({self.ratios})"
@@ -129,13 +134,3 @@ class ModalDamping(Damping):
         if length not in (None, n):
             raise ValueError(f"`ratios` must have one value or one for each of the {n} modes, got {length}.")
         return np.zeros(2), spread(self.ratios, n)
-
-
-def _scalar(value, name, unit):
-    """Return a checked float or a scalar tensor."""
-    checked = as_vector(value, name, unit, allow_zero=True)
-    if checked.ndim:
-        raise ValueError(
-            f"`{name}` must be a scalar, got {checked.ndim} dimension. Pass one value in {unit}."
-        )
-    return checked if isinstance(checked, Variable) else float(checked)

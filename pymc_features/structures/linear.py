@@ -1,15 +1,26 @@
-"""Any linear structure M x" + C x' + K x = load."""
+"""Any linear structure M x" + C x' + K x = load, and the names of its degrees of freedom, such as "12:x"."""
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
+from typing import NamedTuple, Self
 
 import numpy as np
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
-from pymc_features._checks import check_integer
+from pymc_features._checks import as_list, check_integer, listed, message, shown
 from pymc_features.algebra import AffineMatrix, always_massless, common_pattern, natural_modes, to_dense
 from pymc_features.records import DynamicLoad
-from pymc_features.structures.base import Matrices, Modes, Structure, static_length
+from pymc_features.structures.base import (
+    DAMPING_OR_MATRIX,
+    MATRIX,
+    Matrices,
+    Modes,
+    Structure,
+    static_length,
+)
 from pymc_features.structures.damping import Damping
-from pymc_features.structures.inputs import DAMPING_OR_MATRIX, MATRIX
 from pymc_features.structures.matrices import (
     MatrixLike,
     as_influence,
@@ -22,10 +33,77 @@ from pymc_features.structures.matrices import (
     check_stiffness,
     warn_of_lost_digits,
 )
-from pymc_features.structures.names import Named
+
+ASK = "Name degrees of freedom, or give their numbers."
+FEW = 6  # names that a message lists
 
 
-class LinearStructure(Named, Structure):
+class DofNames(NamedTuple):
+    """What the degrees of freedom of a structure are called.
+
+    Attributes
+    ----------
+    own : dict of str to int
+        Names of the degrees of freedom, in their order.
+    followers : mapping of str to array (n,)
+        Names of displacements that are combinations S x of the degrees of freedom, with their rows of S.
+    held : collection of str
+        Names of displacements that supports prevent.
+    """
+
+    own: dict[str, int]
+    followers: Mapping[str, np.ndarray]
+    held: Iterable[str]
+
+    @classmethod
+    def of(cls, names: Sequence[str]) -> Self:
+        """Names of degrees of freedom that nothing follows."""
+        return cls({name: i for i, name in enumerate(names)}, {}, ())
+
+    def rows(self, names: Sequence[str]) -> np.ndarray:
+        """Degrees of freedom (s,), or rows (s, n) of S where one of the names is that of a follower."""
+        for name in names:
+            if name not in self.own and name not in self.followers:
+                raise ValueError(self.refusal(name))
+        if all(name in self.own for name in names):
+            return np.array([self.own[name] for name in names])
+        rows = np.zeros((len(names), len(self.own)))
+        for row, name in zip(rows, names, strict=True):
+            if name in self.own:
+                row[self.own[name]] = 1.0
+            else:
+                row[:] = self.followers[name]
+        return rows
+
+    def refusal(self, name: str) -> str:
+        """Why a name is none of a degree of freedom."""
+        if name in self.held:
+            return message(
+                "sensors", "free to move", shown(name), "It moves with the base: pass the record itself."
+            )
+        known = [*self.own, *self.followers]
+        close = get_close_matches(name, known, n=3, cutoff=0.6)
+        advice = f"Is {' or '.join(close)} meant?" if close else ASK
+        first = ", ".join(known[:FEW]) + (f" and {len(known) - FEW} others" if len(known) > FEW else "")
+        return message("sensors", f"among {first}", shown(name), advice)
+
+    def influence(self, direction: str) -> np.ndarray:
+        """Displacements (n,) under a unit displacement of the ground in one direction."""
+        known = sorted({name.partition(":")[2] for name in self.own} & {"x", "y", "z"})
+        if direction not in known:
+            advice = "It is that of the ground motion, by the names of the degrees of freedom."
+            raise ValueError(message("direction", f"one of {listed(known)}", shown(direction), advice))
+        influence = np.array([name.endswith(f":{direction}") for name in self.own], dtype=np.float64)
+        for name, row in self.followers.items():
+            if abs(row @ influence - name.endswith(f":{direction}")) > 1e-9:
+                raise ValueError(
+                    "`build` must tie nodes such that all of them can move with the ground, got a constraint "
+                    f"on {name!r} that forbids it. Pass the matrices and `influence` to `from_matrices`."
+                )
+        return influence
+
+
+class LinearStructure(Structure):
     """A structure given by its matrices, M x" + C x' + K x = -M influence a_g(t), or forces on the right.
 
     Parameters
@@ -67,12 +145,8 @@ class LinearStructure(Named, Structure):
     """
 
     family = "linear"
-    inputs = {
-        "mass": MATRIX,
-        "stiffness": MATRIX,
-        "damping": DAMPING_OR_MATRIX,
-        "influence": MATRIX,
-    }
+    inputs = {"mass": MATRIX, "stiffness": MATRIX, "damping": DAMPING_OR_MATRIX, "influence": MATRIX}
+    _names: DofNames | None = None
 
     def __init__(
         self,
@@ -285,3 +359,35 @@ class LinearStructure(Named, Structure):
         if n_modes is None:
             return self.n_modes
         return check_integer(n_modes, "n_modes", most=self.n_modes, advice="Leave it out for all modes.")
+
+    @property
+    def dof_names(self) -> tuple[str, ...] | None:
+        """Names of the degrees of freedom in their order; None where they have none."""
+        return None if self._names is None else tuple(self._names.own)
+
+    def with_names(self, names: Sequence[str]) -> Self:
+        """Return the structure with names of its degrees of freedom, for `sensors=["12:x", ...]`.
+
+        Parameters
+        ----------
+        names : sequence of n str
+            All different.
+        """
+        texts, n = as_list(names), self.n_dof
+        if texts is None or not all(isinstance(name, str) for name in texts):
+            raise TypeError(message("names", f"{n} texts", shown(names)))
+        if len(set(texts)) != n or len(texts) != n:
+            twice = [name for name in texts if texts.count(name) > 1]
+            got = f"{shown(twice[0])} twice" if twice else str(len(texts))
+            raise ValueError(message("names", f"{n} different texts", got, "Name every degree of freedom."))
+        return self.with_dof_names(DofNames.of(texts))
+
+    def with_dof_names(self, names: DofNames) -> Self:
+        """Return the structure with names of what follows rigidly and of what is held, too."""
+        named = copy.copy(self)
+        named._names = names
+        return named
+
+    def rows_named(self, names: Sequence[str]) -> np.ndarray:
+        """Degrees of freedom (s,), or combinations (s, n) of all, that have these names."""
+        return self._names.rows(names)

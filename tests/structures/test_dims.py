@@ -18,7 +18,7 @@ from pymc_features import (
     response,
 )
 from pymc_features.smc import PopulationLogp
-from pymc_features.structures.variables import computed_length
+from pymc_features.structures.base import computed_length
 from support.graphs import LIGHT
 from support.structures import noise_record
 

@@ -1,4 +1,4 @@
-"""The specimen of a cyclic test: one hysteretic spring whose displacement is prescribed."""
+"""The specimen of a cyclic test, a hysteretic spring at a given displacement, and what cycles do to it."""
 
 from typing import NoReturn
 
@@ -6,19 +6,123 @@ import numpy as np
 import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 
-from pymc_features._checks import check_number, is_number, single
 from pymc_features.records import DynamicLoad
-from pymc_features.structures.base import Structure
-from pymc_features.structures.inputs import DEGRADATION, PINCHING, scalar
-from pymc_features.structures.specimens.deterioration import (
-    NO_DEGRADATION,
-    NO_PINCHING,
-    Degradation,
-    Pinching,
-    Value,
-    scalar_of,
+from pymc_features.structures.base import (
+    FINITE,
+    NOT_NEGATIVE,
+    Described,
+    Input,
+    Kind,
+    Structure,
+    is_numeric,
+    scalar,
 )
-from pymc_features.structures.variables import as_float_tensor, unpacked
+from pymc_features.structures.chains import check_yielding
+
+type Value = float | Variable
+
+PLAIN = "plain numbers"
+NO_MASS = (
+    "`structure` must have masses for this, got a HystereticSpecimen. It has a force under a prescribed "
+    "displacement, and neither matrices nor modes."
+)
+
+
+class Deterioration(Described):
+    """Base: numbers or variables by name, in the order of the kernels."""
+
+    def values(self) -> tuple[Value, ...]:
+        """The parameters, in their order."""
+        return tuple(getattr(self, name) for name in self.inputs)
+
+    def __repr__(self):
+        given = ", ".join(f"{name}={value}" for name, value in zip(self.inputs, self.values(), strict=True))
+        return f"{type(self).__name__}({given})"
+
+
+class Degradation(Deterioration):
+    """Degradation of strength and stiffness with the energy that a spring has dissipated.
+
+    With the dimensionless energy e = (integral of z dd) / d_y: the strength falls as nu^(-1/n), the stiffness
+    of the hysteretic part as 1 / eta::
+
+        nu = 1 + delta_nu e,    eta = 1 + delta_eta e.
+
+    Parameters
+    ----------
+    strength : float or TensorVariable
+        delta_nu [-], not negative.
+    stiffness : float or TensorVariable
+        delta_eta [-], not negative.
+
+    References
+    ----------
+    T. T. Baber & Y.-K. Wen, J. Eng. Mech. Div. ASCE 107 (1981) 1069-1087.
+    """
+
+    inputs = {
+        "strength": scalar("-", NOT_NEGATIVE, PLAIN),
+        "stiffness": scalar("-", NOT_NEGATIVE, PLAIN),
+    }
+
+    def __init__(self, strength: Value = 0.0, stiffness: Value = 0.0):
+        self.take(strength=strength, stiffness=stiffness)
+
+
+class Pinching(Deterioration):
+    """Pinching of loops: near a small force the spring slips, more so the more energy it has dissipated.
+
+    The slope of z is multiplied by h; z_u is the largest value of z, e as of `Degradation`::
+
+        h = 1 - zeta_1 exp{-[z sign(d') - q z_u]^2 / zeta_2^2},
+        zeta_1 = zeta_s (1 - exp(-p e)),    zeta_2 = (psi + delta_psi e) (lambda + zeta_1).
+
+    Parameters
+    ----------
+    slip : float or TensorVariable
+        zeta_s [-], from 0 to below 1: by how much the slope falls in the end.
+    rate : float or TensorVariable
+        p [-], not negative: how fast it falls with the energy.
+    initiation : float or TensorVariable
+        q [-], not negative: the part of z_u at which the slope is least.
+    spread : float or TensorVariable
+        psi [-], positive: over how much of z the pinch extends.
+    spread_rate : float or TensorVariable
+        delta_psi [-], not negative: how fast that grows with the energy.
+    severity : float or TensorVariable
+        lambda [-], positive: how much of the extent is there before any slip.
+
+    References
+    ----------
+    T. T. Baber & M. N. Noori, J. Vib. Acoust. 108 (1986) 411-420. G. C. Foliente, J. Struct. Eng. 121 (1995)
+    1013-1022, with these functions.
+    """
+
+    inputs = {
+        "slip": scalar("-", NOT_NEGATIVE, PLAIN),
+        "rate": scalar("-", NOT_NEGATIVE, PLAIN),
+        "initiation": scalar("-", NOT_NEGATIVE, PLAIN),
+        "spread": scalar("-", words=PLAIN),
+        "spread_rate": scalar("-", NOT_NEGATIVE, PLAIN),
+        "severity": scalar("-", words=PLAIN),
+    }
+
+    def __init__(
+        self,
+        slip: Value,
+        rate: Value = 1.0,
+        *,
+        initiation: Value = 0.1,
+        spread: Value = 0.2,
+        spread_rate: Value = 0.0,
+        severity: Value = 0.3,
+    ):
+        self.take(slip=slip, rate=rate, initiation=initiation)
+        self.take(spread=spread, spread_rate=spread_rate, severity=severity)
+        if is_numeric(self.slip) and self.slip >= 1.0:
+            raise ValueError(
+                f"`slip` must be below 1, got {self.slip:g}. With 1 a spring would slip without force."
+            )
 
 
 class HystereticSpecimen(Structure):
@@ -95,12 +199,12 @@ class HystereticSpecimen(Structure):
     inputs = {
         "stiffness": scalar("N/m"),
         "yield_displacement": scalar("m"),
-        "post_yield_ratio": scalar("-"),
-        "sharpness": scalar("-"),
-        "beta": scalar("-"),
-        "gamma": scalar("-"),
-        "degradation": DEGRADATION,
-        "pinching": PINCHING,
+        "post_yield_ratio": scalar("-", NOT_NEGATIVE, "fractions of the initial stiffness"),
+        "sharpness": scalar("-", words="plain numbers, 1 or more"),
+        "beta": scalar("-", words=PLAIN),
+        "gamma": scalar("-", FINITE, PLAIN),
+        "degradation": Input(Kind.DEGRADATION),
+        "pinching": Input(Kind.PINCHING),
     }
 
     def __init__(
@@ -115,13 +219,8 @@ class HystereticSpecimen(Structure):
         degradation: Degradation | None = None,
         pinching: Pinching | None = None,
     ):
-        self.stiffness = scalar_of(stiffness, "stiffness", "N/m")
-        self.yield_displacement = scalar_of(yield_displacement, "yield_displacement", "m")
-        unit = "fractions of the initial stiffness"
-        self.post_yield_ratio = scalar_of(post_yield_ratio, "post_yield_ratio", unit, allow_zero=True)
-        self.sharpness = scalar_of(sharpness, "sharpness", "plain numbers, 1 or more")
-        self.beta = scalar_of(beta, "beta", "plain numbers")
-        self.gamma = of_any_sign(gamma, "gamma")
+        self.take(stiffness=stiffness, yield_displacement=yield_displacement)
+        self.take(post_yield_ratio=post_yield_ratio, sharpness=sharpness, beta=beta, gamma=gamma)
         for name, value, kind in (
             ("degradation", degradation, Degradation),
             ("pinching", pinching, Pinching),
@@ -130,21 +229,10 @@ class HystereticSpecimen(Structure):
                 raise TypeError(
                     f"`{name}` must be a {kind.__name__}, got {type(value).__name__}. Leave it out for none."
                 )
-        self.degradation = NO_DEGRADATION if degradation is None else degradation
-        self.pinching = NO_PINCHING if pinching is None else pinching
-        self._check_ranges()
-
-    def _check_ranges(self):
-        if known(self.post_yield_ratio) and self.post_yield_ratio > 1.0:
-            raise ValueError(
-                f"`post_yield_ratio` must lie between 0 and 1, got {self.post_yield_ratio:g}. Pass "
-                "post-yield over initial stiffness."
-            )
-        if known(self.sharpness) and self.sharpness < 1.0:
-            raise ValueError(
-                f"`sharpness` must be at least 1, got {self.sharpness:g}. Pass 1 to 3 for gradual yielding."
-            )
-        if known(self.beta) and known(self.gamma) and not -self.beta < self.gamma <= self.beta:
+        self.degradation = Degradation() if degradation is None else degradation
+        self.pinching = Pinching(0.0) if pinching is None else pinching
+        check_yielding(self, "Pass post-yield over initial stiffness.", "Pass 1 to 3 for gradual yielding.")
+        if is_numeric(self.beta) and is_numeric(self.gamma) and not -self.beta < self.gamma <= self.beta:
             raise ValueError(
                 f"`gamma` must lie above -beta and not exceed beta = {self.beta:g}, got {self.gamma:g}. "
                 "Loops would produce energy, or have no strength; `beta` goes with sign(d' z)."
@@ -159,10 +247,9 @@ class HystereticSpecimen(Structure):
 
     def parameters(self) -> tuple:
         """All fourteen as one vector, in the order of the kernels."""
-        spring = self.stiffness, self.yield_displacement, self.post_yield_ratio
-        loops = self.sharpness, self.beta, self.gamma
-        values = [*spring, *loops, *self.degradation.values(), *self.pinching.values()]
-        if all(map(known, values)):
+        loops = [getattr(self, name) for name in self.inputs if name not in ("degradation", "pinching")]
+        values = [*loops, *self.degradation.values(), *self.pinching.values()]
+        if all(map(is_numeric, values)):
             return (np.array(values),)
         return (pt.stack([pt.as_tensor_variable(value, dtype="float64") for value in values]),)
 
@@ -189,26 +276,5 @@ class HystereticSpecimen(Structure):
         raise TypeError(NO_MASS)
 
 
-NO_MASS = (
-    "`structure` must have masses for this, got a HystereticSpecimen. It has a force under a prescribed "
-    "displacement, and neither matrices nor modes."
-)
-
-
-def of_any_sign(value, name: str) -> Value:
-    """Return a checked finite float, or a scalar tensor."""
-    if is_number(single(value)):
-        number = check_number(value, name)
-        if not np.isfinite(number):
-            raise ValueError(f"`{name}` must be finite, got {number:g}.")
-        return number
-    value = unpacked(value)
-    tensor = as_float_tensor(value, name) if isinstance(value, Variable) else None
-    if tensor is not None and not tensor.ndim:
-        return tensor
-    return scalar_of(value, name, "plain numbers", allow_zero=True)
-
-
-def known(value) -> bool:
-    """Whether a parameter is a number."""
-    return not isinstance(value, Variable)
+SPECIMENS = (HystereticSpecimen,)
+DETERIORATIONS = (Degradation, Pinching)
