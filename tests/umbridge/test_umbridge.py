@@ -11,9 +11,7 @@ import pytest
 import requests
 
 import pymc_features as pmf
-from pymc_features.umbridge import RemoteModel, from_umbridge
-from pymc_features.umbridge.client import checked_shape
-from pymc_features.umbridge.server import models_of
+from pymc_features.umbridge import RemoteModel, checked_shape, from_umbridge, models_of
 from support.external_models import AtOnce
 
 pytestmark = pytest.mark.processes
