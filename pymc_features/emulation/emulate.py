@@ -17,7 +17,7 @@ from pymc_features.emulation.replacement import replaced
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.parameters import check_continuous, coordinate_names
 from pymc_features.inference.sample import sample
-from pymc_features.processes.threads import one_thread_each
+from pymc_features.processes.calls import one_thread_each
 from pymc_features.progress import PartProgress
 from pymc_features.smc import check_run, prior_points
 

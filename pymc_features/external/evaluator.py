@@ -18,9 +18,8 @@ from pymc_features.external.cache import EvaluationCache
 from pymc_features.external.checks import check_evaluation
 from pymc_features.external.progress import Lines
 from pymc_features.fingerprint import fingerprint
-from pymc_features.processes.batch import Batch, Work
 from pymc_features.processes.calls import Outcome
-from pymc_features.processes.executors import open_executor
+from pymc_features.processes.executors import Batch, Work, open_executor
 
 FAILURES_KEPT = 1000
 WORKS_KEPT = 8  # data sets for which the payload is kept

@@ -16,7 +16,7 @@ from pymc_features.exceptions import NoSpreadError, SamplingWarning
 from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
 from pymc_features.inference.cross_check import OF_A_GRADIENT, Density, affordable, cross_check
 from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
-from pymc_features.processes.threads import one_thread_each
+from pymc_features.processes.calls import one_thread_each
 from pymc_features.smc import (
     PersistentSMC,
     Reference,

@@ -17,7 +17,7 @@ from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
 from pymc_features.external import EvaluationCache
 from pymc_features.external.progress import Lines, clock
 from pymc_features.processes import calls
-from pymc_features.processes.process import SimulatorProcess
+from pymc_features.processes.calls import SimulatorProcess
 from support import external_functions as functions
 from support.external_functions import DATA, SECONDS, SHAPE, Counted, Hanging, beam, lives, wait_until
 from support.external_models import BrokenElsewhere, model_of

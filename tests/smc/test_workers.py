@@ -297,7 +297,7 @@ def test_a_model_is_sent_where_it_is_missing_and_parts_again_that_are_lost(eager
     model = model_of("chain")
     logp = population_logp(model, model.initial_point(), {})
     particles = RNG.normal(1.0, 0.3, (200, 3))
-    monkeypatch.setattr("pymc_features.processes.batch.SMALL", 0)
+    monkeypatch.setattr("pymc_features.processes.executors.SMALL", 0)
     with Here(lose={3, 4, 5}) as pool, open_workers(pool) as workers:
         own = workers.run().of(logp)
         np.testing.assert_array_equal(own(particles)[1], logp(particles)[1])

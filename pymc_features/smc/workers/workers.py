@@ -12,8 +12,14 @@ import cloudpickle
 import numpy as np
 
 from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
-from pymc_features.processes.batch import Batch, Work, submitted
-from pymc_features.processes.executors import LocalExecutor, check_executor, open_executor
+from pymc_features.processes.executors import (
+    Batch,
+    LocalExecutor,
+    Work,
+    check_executor,
+    open_executor,
+    submitted,
+)
 from pymc_features.smc.density.evaluation import PopulationLogp
 from pymc_features.smc.density.rows import ONE_CALL
 from pymc_features.smc.workers.cuts import parts_of
