@@ -3,7 +3,6 @@
 from pymc_features import datasets, exceptions, plots, signals
 from pymc_features.ambient import AmbientResponse, spectral_response
 from pymc_features.calibration import calibrate, effective_samples, event_check, fill_degrees
-from pymc_features.cyclic_test import CyclicTest
 from pymc_features.distributions import (
     CorrelatedNormal,
     ExpFeature,
@@ -41,7 +40,7 @@ from pymc_features.ops import mean_square_discrepancy, response
 from pymc_features.placement import sensor_placement
 from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...
 from pymc_features.prediction import first_passage_probability, posterior_response
-from pymc_features.records import Loading, Record
+from pymc_features.records import CyclicTest, Loading, Record
 from pymc_features.simulators import integration_error, simulate, spring_forces
 from pymc_features.smc import TMCMC, PersistentSMC, PopulationIMH, PopulationMH, SubsetSimulation, sample_smc
 from pymc_features.structures import (

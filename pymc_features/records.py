@@ -1,9 +1,12 @@
-"""What shakes a structure: a ground-motion record, or several histories of supports or forces."""
+"""What acts on a structure: a ground-motion record, histories of supports or forces, or a displacement.
+
+Evenly sampled histories that begin with the structure at rest.
+"""
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from math import ceil, floor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
 
@@ -20,13 +23,104 @@ from pymc_features._checks import (
     shown,
     single,
 )
-from pymc_features.dynamic_load import INTERPOLATIONS, DynamicLoad, Interpolation
 
 if TYPE_CHECKING:
     import xarray as xr
 
+Interpolation = Literal["band-limited", "linear"]
+INTERPOLATIONS = "band-limited", "linear"
+KINDS = {"support_acceleration": "m/s^2", "force": "N"}
 FILL = "Fill or cut the gap first."
 EVEN = 1e-6  # of a step: differences of times below this are rounding
+
+
+class DynamicLoad:
+    """What acts on a structure that is at rest at the first sample.
+
+    Structures and simulators take a `Record`, `Loading` or `CyclicTest` by these attributes alone.
+
+    Attributes
+    ----------
+    inputs : array (input, time)
+        Accelerations of the base or the supports [m/s^2], forces [N], or a displacement [m].
+    is_force, is_displacement : bool
+        Whether they are forces, or a prescribed displacement.
+    dt : float
+        Sampling interval [s].
+    name : str
+        For figures and messages.
+    interpolation : str
+        What it is between its samples: "linear", or "band-limited", without content above half the sampling
+        rate.
+    history : str
+        Name of the argument with the samples (..., time).
+    """
+
+    inputs: np.ndarray
+    is_force: bool = False
+    is_displacement: bool = False
+    dt: float
+    name: str
+    interpolation: Interpolation = "linear"
+    history: str
+
+    def _keep(self, **values) -> None:
+        """Set attributes of a frozen instance: these, and the interval and the name, checked."""
+        values |= {"dt": check_step(self.dt), "name": check_title(self.name)}
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def _series(self, advice: str, more: str) -> np.ndarray:
+        """The samples (time,) as numbers, at least two and all finite."""
+        samples = as_numbers(getattr(self, self.history), self.history, advice)
+        if samples.ndim != 1 or samples.size < 2:
+            raise ValueError(
+                f"`{self.history}` must be one-dimensional with at least 2 samples, got shape "
+                f"{samples.shape}. {more}"
+            )
+        check_finite(samples, self.history, FILL)
+        return samples
+
+    def first(self, n_times: int) -> Self:
+        """Cut the load to its first samples."""
+        n_times = check_integer(n_times, "n_times", least=2)
+        return replace(self, **{self.history: getattr(self, self.history)[..., :n_times]})
+
+    def __len__(self):
+        return self.n_times
+
+    @property
+    def _label(self) -> str:
+        return f"{self.name!r}, " if self.name else ""
+
+    def __reduce__(self):
+        values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return _made_anew, (type(self), values)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of histories."""
+        return self.inputs.shape[0]
+
+    @property
+    def n_times(self) -> int:
+        """Number of samples."""
+        return self.inputs.shape[1]
+
+    @property
+    def time(self) -> np.ndarray:
+        """Sampling times (time,) [s], from 0."""
+        return np.arange(self.n_times) * self.dt
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return (self.n_times - 1) * self.dt
+
+
+def _made_anew(kind, values):
+    """A load of copies, so that the arrays of a deep or pickled copy are read-only as well."""
+    return kind(**{name: np.array(v) if isinstance(v, np.ndarray) else v for name, v in values.items()})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,21 +160,13 @@ class Record(DynamicLoad):
     dt: float
     name: str = ""
     interpolation: Interpolation = field(default="band-limited", kw_only=True)
+    history = "acceleration"
 
     def __post_init__(self):
-        acceleration = as_numbers(
-            self.acceleration, "acceleration", "Pass m/s^2, or read files with `read_record`."
-        )
-        if acceleration.ndim != 1 or acceleration.size < 2:
-            raise ValueError(
-                f"`acceleration` must be one-dimensional with at least 2 samples, got shape "
-                f"{acceleration.shape}. Pass one component of the ground motion."
-            )
-        check_finite(acceleration, "acceleration", FILL)
+        advice = "Pass m/s^2, or read files with `read_record`."
+        acceleration = self._series(advice, "Pass one component of the ground motion.")
         check_choice(self.interpolation, "interpolation", INTERPOLATIONS)
-        object.__setattr__(self, "acceleration", acceleration)
-        object.__setattr__(self, "dt", check_step(self.dt))
-        object.__setattr__(self, "name", check_title(self.name))
+        self._keep(acceleration=acceleration)
 
     @classmethod
     def from_channel(
@@ -129,23 +215,15 @@ class Record(DynamicLoad):
         return cls(channel.values, sampling_step(channel), name, interpolation=interpolation)
 
     def __repr__(self):
-        label = f"{self.name!r}, " if self.name else ""
         return (
-            f"Record({label}{self.n_times} samples, dt={self.dt:g} s, "
+            f"Record({self._label}{self.n_times} samples, dt={self.dt:g} s, "
             f"duration={self.duration:.4g} s, pga={self.pga:.4g} m/s^2)"
         )
-
-    def __len__(self):
-        return self.n_times
 
     @property
     def inputs(self) -> np.ndarray:
         """The acceleration as one input (1, time)."""
         return self.acceleration[None]
-
-    def first(self, n_times: int) -> "Record":
-        """Cut the record to its first samples."""
-        return replace(self, acceleration=self.acceleration[: check_integer(n_times, "n_times", least=2)])
 
     def resampled(self, dt: float, *, delay: float = 0.0) -> "Record":
         """Return the motion at another sampling interval.
@@ -190,9 +268,6 @@ class Record(DynamicLoad):
         return float(np.abs(self.acceleration).max())
 
 
-KINDS = {"support_acceleration": "m/s^2", "force": "N"}
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Loading(DynamicLoad):
     """Several evenly sampled histories that act together: support accelerations or nodal forces. Immutable.
@@ -233,6 +308,7 @@ class Loading(DynamicLoad):
     matrix: np.ndarray | None = None
     name: str = ""
     interpolation: Interpolation = field(default="band-limited", kw_only=True)
+    history = "values"
 
     def __post_init__(self):
         check_choice(self.kind, "kind", KINDS)
@@ -244,11 +320,9 @@ class Loading(DynamicLoad):
                 "Time is the last axis."
             )
         check_finite(values, "values", FILL)
-        object.__setattr__(self, "values", values)
-        object.__setattr__(self, "dt", check_step(self.dt))
-        object.__setattr__(self, "name", check_title(self.name))
+        self._keep(values=values)
         if self.matrix is not None:
-            object.__setattr__(self, "matrix", self._checked_matrix())
+            self._keep(matrix=self._checked_matrix())
 
     def _checked_matrix(self):
         if self.kind != "force":
@@ -266,8 +340,9 @@ class Loading(DynamicLoad):
         return matrix
 
     def __repr__(self):
-        label = f"{self.name!r}, " if self.name else ""
-        return f"Loading({label}{self.kind}, {self.n_inputs} x {self.n_times} samples, dt={self.dt:g} s)"
+        return (
+            f"Loading({self._label}{self.kind}, {self.n_inputs} x {self.n_times} samples, dt={self.dt:g} s)"
+        )
 
     @property
     def inputs(self) -> np.ndarray:
@@ -278,10 +353,6 @@ class Loading(DynamicLoad):
     def is_force(self) -> bool:
         """Whether they are forces."""
         return self.kind == "force"
-
-    def first(self, n_times: int) -> "Loading":
-        """Cut the record to its first samples."""
-        return replace(self, values=self.values[:, : check_integer(n_times, "n_times", least=2)])
 
     def applied(self, shapes: np.ndarray) -> np.ndarray:
         """Work of unit forces in shapes (m, n), shapes times `matrix`, (m, input)."""
@@ -297,6 +368,55 @@ class Loading(DynamicLoad):
                 "Give one row for each degree of freedom and one column for each input."
             )
         return matrix
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CyclicTest(DynamicLoad):
+    """The displacement that a specimen is taken through, slowly: a quasi-static test. Immutable.
+
+    Between its samples the displacement is taken as linear. The specimen is untouched at zero, and goes
+    straight from there to the first sample.
+
+    Parameters
+    ----------
+    displacement : array_like (time,)
+        Prescribed displacement [m], from where the force is zero; copied, float64, at least two finite
+        samples.
+    dt : float
+        Interval of the samples [s], positive. It labels axes and nothing else, for the force does not depend
+        on the speed: by default the times are the numbers of the samples.
+    name : str
+        What figures and messages call the test.
+
+    Raises
+    ------
+    ValueError
+        If the displacement is not a one-dimensional series of finite numbers or `dt` is not positive.
+
+    Examples
+    --------
+    >>> CyclicTest([0.0, 0.01, -0.01, 0.02], name="column")
+    CyclicTest('column', 4 samples, from -0.01 to 0.02 m)
+    """
+
+    displacement: np.ndarray = field()
+    dt: float = 1.0
+    name: str = ""
+    is_displacement = True
+    history = "displacement"
+
+    def __post_init__(self):
+        advice = "Pass m, or read a table with `read_cyclic_test`."
+        self._keep(displacement=self._series(advice, "Pass the history of one displacement."))
+
+    def __repr__(self):
+        low, high = self.displacement.min(), self.displacement.max()
+        return f"CyclicTest({self._label}{self.n_times} samples, from {low:.4g} to {high:.4g} m)"
+
+    @property
+    def inputs(self) -> np.ndarray:
+        """The displacement as one input (1, time)."""
+        return self.displacement[None]
 
 
 def _picked(channels, sensor):

@@ -20,12 +20,11 @@ from scipy import sparse
 
 from pymc_features._checks import shown
 from pymc_features.algebra import to_dense
-from pymc_features.cyclic_test import CyclicTest
 from pymc_features.ops.base import StructuralOp
 from pymc_features.ops.excitation import excitation_in_model, request_in_model
 from pymc_features.ops.external import ExternalResponse
 from pymc_features.ops.gradient import ResponseGradient, gradient_op
-from pymc_features.records import DynamicLoad, Loading, Record
+from pymc_features.records import CyclicTest, DynamicLoad, Loading, Record
 from pymc_features.simulators import (
     HISTORIES,
     at_outputs,

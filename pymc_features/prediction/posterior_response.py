@@ -9,10 +9,9 @@ from numpy.typing import ArrayLike
 from pymc.util import RandomGenerator
 
 from pymc_features._checks import as_numbers, check_texts, message, shown
-from pymc_features.cyclic_test import CyclicTest
 from pymc_features.prediction.draws import ResponseOptions, check_records, response_options, structure_draws
 from pymc_features.prediction.simulated import largest
-from pymc_features.records import Loading, Record
+from pymc_features.records import CyclicTest, Loading, Record
 from pymc_features.simulators import HISTORIES, times_of
 from pymc_features.structures import Structure
 

@@ -24,8 +24,7 @@ from pymc_features.simulators.quantities import (
 )
 
 if TYPE_CHECKING:
-    from pymc_features.cyclic_test import CyclicTest
-    from pymc_features.records import Loading, Record
+    from pymc_features.records import CyclicTest, Loading, Record
     from pymc_features.structures import Structure
 
 

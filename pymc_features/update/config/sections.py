@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
 
 from pymc_features._checks import is_number
-from pymc_features.dynamic_load import INTERPOLATIONS, Interpolation
 from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.records import INTERPOLATIONS, Interpolation
 from pymc_features.update.config.entries import Vector, priors_in
 from pymc_features.update.config.messages import shown
 

@@ -9,11 +9,10 @@ import numpy as np
 import xarray as xr
 
 from pymc_features import datasets, signals
-from pymc_features.cyclic_test import CyclicTest
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_channels, read_channels_with_gaps, read_record
 from pymc_features.io.reading.labels import SI
-from pymc_features.records import EVEN, Record
+from pymc_features.records import EVEN, CyclicTest, Record
 from pymc_features.signals.channels import check_window
 from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.sections import MEASURED
