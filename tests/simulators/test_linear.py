@@ -6,7 +6,7 @@ from scipy import sparse
 from scipy.linalg import eigh
 
 from pymc_features import LinearStructure, ModalDamping, RayleighDamping, simulate
-from pymc_features.algebra.factorisation import count_below, eliminate
+from pymc_features.algebra import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.linear.state_space import StateMatrices, march_state, modal_equations
 from pymc_features.simulators.linear.system import is_coupled

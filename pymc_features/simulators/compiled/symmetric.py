@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pymc_features.algebra.massless import INDEFINITE, MASSLESS, UNHELD
+from pymc_features.algebra import INDEFINITE, MASSLESS, UNHELD
 from pymc_features.simulators.compiled.jit import jit
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pymc_features.algebra.factorisation import ZERO_STIFFNESS
+from pymc_features.algebra import ZERO_STIFFNESS
 from pymc_features.simulators.compiled.arrays import positions
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, magnitude, splat, store, where_less

@@ -4,7 +4,7 @@ K phi = omega^2 M phi becomes the standard problem of A = F^-1 K F^-T, F F' = M;
 root. Matrices (n n, LANES) have their entries in C order, of which the lower half counts.
 """
 
-from pymc_features.algebra.massless import MASSLESS
+from pymc_features.algebra import MASSLESS
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import load, splat, square_root, store, where_less
 from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes

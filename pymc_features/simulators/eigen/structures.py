@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.algebra.eigen import ROUNDING
+from pymc_features.algebra import ROUNDING
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, highest, load, magnitude, splat, store, where_less
 from pymc_features.simulators.compiled.vector_memory import new_vectors

@@ -7,9 +7,7 @@ Rayleigh quotients of their vectors.
 
 import numpy as np
 
-from pymc_features.algebra.eigen import NEGATIVE, ROUNDING
-from pymc_features.algebra.factorisation import ZERO_STIFFNESS
-from pymc_features.algebra.massless import MASSLESS
+from pymc_features.algebra import MASSLESS, NEGATIVE, ROUNDING, ZERO_STIFFNESS
 from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.symmetric import condense, factorise, is_diagonal
