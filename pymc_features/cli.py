@@ -12,15 +12,25 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
-from pymc_features.interrupt import EXIT_INTERRUPTED, CtrlC, started
+import pymc_features
+from pymc_features.progress import EXIT_INTERRUPTED, CtrlC, Heartbeat, PartProgress, started
 
 EXIT_BAD_INPUT, EXIT_UNEXPLAINED = 2, 3
+FORCE = "start anew: delete the finished parts in the output folder first"
+EXECUTOR = (
+    "spread populations over this number of processes, or over the Dask cluster whose scheduler has this "
+    "address, such as tcp://host:8786; --cores then says how many chains run at once"
+)
 # what each command needs, with PyMC
-NEEDED = {"update": "pymc_features.update.run", "check": "pymc_features.update.report.terminal"}
-NEEDED |= {"predict": "pymc_features.update.run", "report": "pymc_features.update.report.page"}
-NEEDED |= {"init": "pymc_features.update.examples.write"}
-NEEDED |= {"reproduce": "pymc_features.study", "convert": "pymc_features.io"}
-NEEDED["report"] = "pymc_features.update.report.page"  # which needs no PyMC
+NEEDED = {
+    "reproduce": "pymc_features.study",
+    "update": "pymc_features.update.run",
+    "predict": "pymc_features.update.run",
+    "report": "pymc_features.update.report.page",  # which needs no PyMC
+    "check": "pymc_features.update.report.terminal",
+    "init": "pymc_features.update.examples.write",
+    "convert": "pymc_features.io",
+}
 
 
 def command() -> int:
@@ -40,9 +50,7 @@ def main(arguments=None) -> int:
     """Run the command; return its exit code."""
     from rich.console import Console
 
-    from pymc_features.arguments import make_parser
     from pymc_features.exceptions import NoWorkersError
-    from pymc_features.progress import Heartbeat
     from pymc_features.update.config.keys import parsed
 
     options = make_parser().parse_args(arguments)
@@ -58,9 +66,7 @@ def main(arguments=None) -> int:
             options.alive.now(options.command)
             logging.getLogger("pymc_features").addHandler(Told(console))
             logging.getLogger("pymc_features").setLevel(logging.INFO)
-            commands = {"reproduce": reproduce, "update": update, "predict": predict, "report": report}
-            commands |= {"check": check, "init": init, "convert": convert}
-            return commands[options.command](options, console) or 0
+            return globals()[options.command](options, console) or 0
     except KeyboardInterrupt:
         out = getattr(options, "out", None)
         kept = f": finished parts are kept in {out}; the same command continues" if out else ""
@@ -90,33 +96,179 @@ def say(console, sentence, style=None):
     console.print(sentence, markup=False, highlight=False, soft_wrap=True, style=style)
 
 
+def make_parser():
+    """Return the parser of all commands."""
+    import argparse
+
+    import shtab
+
+    parser = argparse.ArgumentParser(
+        prog="pymc-features",
+        description="Bayesian updating of structural models from measured vibration.",
+    )
+    version = f"pymc-features {pymc_features.__version__}"
+    parser.add_argument("--version", action="version", version=version, help="print the version and exit")
+    words = "print a script that completes commands, options and files in a shell, and exit"
+    shtab.add_argument_to(parser, ["--print-completion"], help=words)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
+
+    def command(name, words, description):
+        """What adds arguments to a new command."""
+        made = commands.add_parser(name, help=words, description=description)
+
+        def add(*names, complete=None, **settings):
+            action = made.add_argument(*names, **settings)
+            if complete is not None:
+                action.complete = complete
+
+        return add
+
+    add = command(
+        "reproduce",
+        "run the sampling-rate study of the source, and write its figures and table",
+        "Ten-storey chain, linear or with springs that yield, one stiffness factor: NORM, TN, EXP, ABC by "
+        "subset simulation, errors correlated in time, and CAL, whose width the residuals decide, at "
+        "several sampling steps of the same data. Writes Figs. 1-4 of the source and two more, the loops of "
+        "springs that yield, tables with exact quantiles by quadrature beside the sampled ones and a "
+        "sentence on each likelihood, and the whole result as netCDF. A stopped run continues.",
+    )
+    words = (
+        "linear: the source's (default; three minutes on two cores), or bouc-wen: the same with hysteretic "
+        "springs (four minutes)"
+    )
+    add("--structure", metavar="NAME", default="linear", help=words)
+    words = "ground motion: PEER AT2, text/CSV or .mat"
+    add("--record", metavar="FILE", complete=shtab.FILE, help=words)
+    add("--units", help="units of the record's file: g, m/s^2, cm/s^2, gal, or m/s^2 per unit")
+    add("--record-dt", type=float, metavar="S", help="step of the record [s], if the file is silent")
+    add("--column", help="column of the record's file, if it has several")
+    words = "output folder (default: reproduce-output[-STRUCTURE][-quick])"
+    add("--out", metavar="DIR", complete=shtab.DIRECTORY, help=words)
+    words = (
+        "three sampling steps and fewer draws, for a first look; bouc-wen: of the record until 8 s after its "
+        "peak (three minutes)"
+    )
+    add("--quick", action="store_true", help=words)
+    add("--seed", type=int, default=0, help="of noise and samplers (default: 0)")
+    words = "correlation time of the noise [s] (default: 0, white)"
+    add("--noise-time", type=float, metavar="S", help=words)
+    add("--stiffness", type=float, metavar="N/m", help="nominal, initial spring stiffness (default: 1800)")
+    words = "NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU, CAL (default: all; bouc-wen: the first four)"
+    add("--likelihoods", nargs="+", metavar="NAME", help=words)
+    add("--draws", type=int, help="draws per chain (default: 2000, quick 250; bouc-wen: 1000)")
+    add("--chains", type=int, help="chains (default: 4, quick 2; bouc-wen: 2)")
+    add("--cores", type=int, help="processes (default: all processors)")
+    add("--executor", type=where, metavar="WHERE", help=EXECUTOR)
+    add("--force", action="store_true", help=FORCE)
+
+    add_update(command, shtab)
+    for made in commands.choices.values():
+        made.add_argument("--traceback", action="store_true", help="on an error, show where it came from")
+    return parser
+
+
+def add_update(command, shtab) -> None:
+    """The commands for measurements of one's own."""
+    config = dict(metavar="CONFIG", complete=shtab.FILE, help="configuration file, TOML")
+    add = command(
+        "update",
+        "update a structure with measured channels, and write a report",
+        "Reads a configuration (TOML; `pymc-features init` writes a commented one), samples the posterior "
+        "under each of its likelihoods, and writes update.nc, table.csv, table.tex, figures and report.html, "
+        "one page that needs no other file. A stopped run continues: finished likelihoods are kept.",
+    )
+    add("config", **config)
+    words = "output folder (default: CONFIG-output beside CONFIG)"
+    add("--out", metavar="DIR", complete=shtab.DIRECTORY, help=words)
+    add("--cores", type=int, help="processes (default: as CONFIG says, or all processors)")
+    add("--executor", type=where, metavar="WHERE", help=EXECUTOR)
+    add("--force", action="store_true", help=FORCE)
+    add("--json", action="store_true", help="print verdict, table and findings for scripts")
+    add("--fail-on", choices=["verdict"], help="exit with 3 if the model does not explain the data")
+
+    add = command(
+        "predict",
+        "predict other motions with the posterior of a finished update",
+        "Reads each [[predict]] of a configuration and the result of its update, and writes bands of "
+        "responses and probabilities of exceedance into it. Nothing is sampled, no channel is read.",
+    )
+    add("config", **config)
+    words = "folder of the result (default: CONFIG-output)"
+    add("--out", metavar="DIR", complete=shtab.DIRECTORY, help=words)
+
+    add = command(
+        "report",
+        "make the page of a finished update again, from its update.nc alone",
+        "Writes report.html from the result that `update` saved, without its data files, without sampling "
+        "and within seconds.",
+    )
+    add("result", metavar="RESULT", complete=shtab.FILE, help="update.nc of an update")
+    add("--out", metavar="FILE", help="page (default: report.html beside RESULT)")
+
+    add = command(
+        "check",
+        "look at the data of a configuration without sampling",
+        "Reads a configuration and its channels, checks them against each other, says which lines of the "
+        "file would correct what is wrong, and draws them.",
+    )
+    add("config", **config)
+    add("--out", metavar="FILE", help="figure (default: CONFIG-check.png beside CONFIG)")
+
+    add = command(
+        "init",
+        "write a commented configuration that runs",
+        "Writes a configuration for the three-storey shaking-table model, with its measured data if they "
+        "are in PYMC_FEATURES_DATA, in the cache or can be downloaded, else with simulated data in a file "
+        "beside it. Or for a building of eight storeys with three sensors, simulated.",
+    )
+    add("config", metavar="CONFIG", nargs="?", default="update.toml")
+    words = "shaking-table (default) or building"
+    add("--example", metavar="NAME", default="shaking-table", help=words)
+    add("--synthetic", action="store_true", help="shaking-table: simulated data in any case")
+
+    add = command(
+        "convert",
+        "write the channels or modes of a file into another format",
+        "Reads accelerations in any format that is known, or with --modes identified modes, and writes CSV "
+        "with units in its header, a Universal File, or modes as JSON, by the ending of OUT.",
+    )
+    add("source", metavar="IN", complete=shtab.FILE, help="file to read")
+    add("target", metavar="OUT", help=".csv, .txt, .uff, .unv, modes also .json")
+    add("--modes", action="store_true", help="IN holds identified modes (JSON always does)")
+    add("--units", help="of channels, if the file is silent: g, m/s^2, gal, or m/s^2 per unit")
+    add("--dt", type=float, metavar="S", help="step of the channels [s], if the file is silent")
+    add("--force", action="store_true", help="replace OUT if it is there")
+
+
+def where(text: str) -> int | str:
+    """A number of processes, or an address."""
+    return int(text) if text.lstrip("-").isdigit() else text
+
+
 def find_record(options):
     """Return the record to use, and a sentence that says which and why."""
     from pymc_features import datasets, io
 
-    if options.record is not None:
-        units, column = options.units, options.column
-        if units is not None and _is_number(units):
-            units = float(units)
-        if column is not None and column.isdigit():
-            column = int(column)
-        record = io.read_record(options.record, units=units, dt=options.record_dt, column=column)
-        return record, f"record: {record} from {options.record}"
-    record = datasets.el_centro()
-    return record, f"record: {record}"
+    if options.record is None:
+        record = datasets.el_centro()
+        return record, f"record: {record}"
+    units, column = number(options.units), options.column
+    if column is not None and column.isdigit():
+        column = int(column)
+    record = io.read_record(options.record, units=units, dt=options.record_dt, column=column)
+    return record, f"record: {record} from {options.record}"
 
 
-def _is_number(text):
+def number(text: str | None) -> float | str | None:
+    """A text as a number, if it is one."""
     try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+        return float(text)
+    except (TypeError, ValueError):
+        return text
 
 
 def reproduce(options, console):
     """Run the study and write figures, table and result."""
-    from pymc_features.progress import PartProgress
     from pymc_features.study import find_structure, sampling_rate_study, write_outputs, yielding
 
     of_springs = {} if options.stiffness is None else {"stiffness": options.stiffness}
@@ -155,7 +307,6 @@ def reproduce(options, console):
 
 def update(options, console):
     """Update a structure as a configuration says, and write the report."""
-    from pymc_features.progress import PartProgress
     from pymc_features.update import run_update, write_outputs
     from pymc_features.update.report.findings import as_json, findings
     from pymc_features.update.report.terminal import summary
@@ -314,8 +465,7 @@ def convert(options, console):
     from pymc_features.io import read_channels_with_gaps
     from pymc_features.io.write import write_channels
 
-    units = float(options.units) if _is_number(options.units or "") else options.units
-    channels = read_channels_with_gaps(source, units=units, dt=options.dt)
+    channels = read_channels_with_gaps(source, units=number(options.units), dt=options.dt)
     write_channels(channels, target)
     names = ", ".join(channels["sensor"].values.tolist())
     say(console, f"wrote {names}, {channels.sizes['time']} samples in {channels.attrs['units']}, to {target}")

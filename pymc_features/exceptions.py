@@ -5,37 +5,6 @@
 Arguments out of their range raise Python's own `ValueError` and `TypeError`; some of the errors here are one.
 """
 
-__all__ = [
-    "AmbientWarning",
-    "CalibrationWarning",
-    "ChainsDisagreeWarning",
-    "ChannelWarning",
-    "CheckpointError",
-    "ConfigError",
-    "DatasetUnavailableError",
-    "DiedAtStartError",
-    "FeatureLikelihoodWarning",
-    "LaplaceWarning",
-    "ModalDataWarning",
-    "ModalMatchWarning",
-    "NoSpreadError",
-    "NoWorkersError",
-    "NotDifferentiableError",
-    "PopulationWarning",
-    "PredictionWarning",
-    "PriorWarning",
-    "SamplingWarning",
-    "SimulationWarning",
-    "StudyMismatchError",
-    "SubsetSimulationWarning",
-    "ToleranceNotReachedError",
-    "TooStiffError",
-    "UncalibratedError",
-    "UnknownIdentityError",
-    "UnusableSimulatorError",
-]
-
-
 # ---- data ----
 
 
@@ -170,3 +139,6 @@ class DiedAtStartError(RuntimeError):
 
 class NoWorkersError(RuntimeError):
     """An executor that runs nothing any more."""
+
+
+__all__ = sorted(name for name in globals() if name.endswith(("Error", "Warning")))

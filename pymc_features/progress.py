@@ -1,23 +1,65 @@
-"""Progress of work in parts, which Ctrl-C stops, and signs of life while nothing else is said."""
+"""What Ctrl-C does to the command, progress of work in parts, and signs of life while nothing else is said.
 
+Imported first of all by the command, it imports little.
+"""
+
+import os
 import signal
 import sys
 import threading
 from time import monotonic
+from typing import NoReturn
 
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-
-from pymc_features.interrupt import CtrlC
-
+EXIT_INTERRUPTED = 130
+SHOW_CURSOR = b"\x1b[?25h"  # which progress bars hide
 WHOLE = 86_400.0  # s: the speed is estimated from all parts, of which some take much longer than others
 QUIET = 3.0  # seconds after which something is said
+
+
+class CtrlC:
+    """A handler of SIGINT: the first Ctrl-C raises KeyboardInterrupt, and is remembered.
+
+    While the command starts, the first ends the process: nothing is lost, and an exception in the middle of
+    an import might not come through, for extension modules make others of it.
+
+    Parameters
+    ----------
+    ends_process : bool
+        Whether the second ends the process at once, wherever the first has brought it.
+    is_starting : bool
+        Whether nothing is begun yet; until `started` is called.
+    """
+
+    def __init__(self, *, ends_process: bool, is_starting: bool = False):
+        self.pressed, self.ends_process, self.process = False, ends_process, os.getpid()
+        self.is_starting = is_starting
+
+    def __call__(self, number, frame):
+        if self.is_starting:
+            self.end(b"Interrupted.\n")
+        if self.pressed and self.ends_process:
+            self.end(b"Interrupted again: ended at once; finished parts are kept.\n")
+        self.pressed = True
+        raise KeyboardInterrupt
+
+    def end(self, sentence: bytes) -> NoReturn:
+        """End the process and those that it started; of these, forked, each ends itself without a word."""
+        if os.getpid() == self.process:
+            if "multiprocessing" in sys.modules and not self.is_starting:
+                import multiprocessing
+
+                for child in multiprocessing.active_children():
+                    child.kill()
+            cursor = SHOW_CURSOR if os.isatty(2) and not self.is_starting else b""
+            os.write(2, cursor + sentence)
+        os._exit(EXIT_INTERRUPTED)
+
+
+def started() -> None:
+    """Say that work begins, which the first Ctrl-C stops in good order."""
+    handler = signal.getsignal(signal.SIGINT)
+    if isinstance(handler, CtrlC):
+        handler.is_starting = False
 
 
 class Heartbeat:
@@ -84,6 +126,15 @@ class PartProgress:
 
     def __init__(self, console, what, alive: Heartbeat | None = None, pause: float = 0.0):
         self.console, self.alive, self.pause = console, alive, pause
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
         self.begun, self.said = monotonic(), -float("inf")
         self.bar = Progress(
             TextColumn(f"[bold]{what}"),

@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 
 from pymc_features import cli, progress
-from pymc_features.arguments import make_parser
+from pymc_features.cli import make_parser
 from support.commands import ROOT
 
 

@@ -22,23 +22,21 @@ ALLOWED = {
     "_checks": set(),
     "exceptions": set(),
     "band_limited": set(),
-    "dynamic_load": set(),
-    "records": {"signals", "band_limited", "dynamic_load"},
-    "cyclic_test": {"records"},
+    "records": {"signals", "band_limited"},
     "algebra": set(),
     "structures": {"algebra", "records", "simulators", "io"},  # of these the modes of chains
     "simulators": {"algebra", "records", "band_limited"},
     "signals": set(),
     "modal": {"io"},
-    "io": {"records", "cyclic_test", "signals", "band_limited"},
+    "io": {"records", "signals", "band_limited"},
     "datasets": {"records", "io", "modal"},
     "ground_motion": {"records"},
     "external": {"ops", "fingerprint", "processes"},
     "processes": set(),
     "storage": set(),
     "fingerprint": set(),
-    "prediction": {"records", "cyclic_test", "structures", "simulators"},
-    "ops": {"algebra", "records", "cyclic_test", "structures", "simulators", "band_limited"},
+    "prediction": {"records", "structures", "simulators"},
+    "ops": {"algebra", "records", "structures", "simulators", "band_limited"},
     "distributions": {"ops"},
     "modal_features": {"records", "structures", "simulators", "ops", "distributions"},
     "ambient": {"records", "structures", "simulators", "ops", "modal_features", "signals"},
@@ -58,14 +56,12 @@ ALLOWED = {
     "emulation": {"external", "ops", "fingerprint", "inference", "processes", "smc", "progress"},
     "likelihoods": {"ops", "distributions", "likelihood_free", "calibration"},
     "plots": {"records", "likelihoods", "modal", "modal_features", "signals"},
-    "interrupt": set(),
-    "progress": {"interrupt"},
-    "arguments": set(),
+    "progress": set(),
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators", "ops"),
         *("likelihood_free", "likelihoods", "smc", "inference", "calibration", "prediction"),
         *("storage", "plots", "modal", "modal_features", "events", "ambient", "identification"),
-        *("cyclic_test", "dynamic_load", "external", "emulation"),
+        *("external", "emulation"),
     },
 }
 ANYTHING = {"__init__", "__main__", "public", "cli"}
@@ -397,5 +393,11 @@ def test_public_functions_are_annotated():
                 silent.append(f"{place}: what it returns")
             checked.add(place)
     assert silent == []
-    assert {"response", "paper.chain", "signals.trim", "PopulationKernel.set_rng", "Record.first"} <= checked
+    assert {
+        "response",
+        "paper.chain",
+        "signals.trim",
+        "PopulationKernel.set_rng",
+        "Record.resampled",
+    } <= checked
     assert (ROOT / "py.typed").exists()

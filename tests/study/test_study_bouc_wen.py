@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from pymc_features import cli, sampling_rate_study, simulate
-from pymc_features.arguments import make_parser
+from pymc_features.cli import make_parser
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.study import STRUCTURES, as_markdown, bouc_wen, find_structure, paper, yielding
 from pymc_features.study.misfits import computed_sums
