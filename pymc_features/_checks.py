@@ -1,6 +1,5 @@
 """Checks of arguments, with one message for all: "`name` must be ..., got .... What to do."."""
 
-import difflib
 import errno
 import os
 import warnings
@@ -310,23 +309,16 @@ def check_group(tree, name: str, group: str, advice: str, *dims: str) -> "xr.Dat
     """A group of a DataTree, with these dimensions, as a Dataset."""
     import xarray as xr  # slow to import, and not needed to read a record
 
-    if not isinstance(tree, xr.DataTree) or group not in tree.children:
-        got = (
-            f"one with {', '.join(tree.children) or 'none'}" if isinstance(tree, xr.DataTree) else shown(tree)
-        )
+    is_tree = isinstance(tree, xr.DataTree)
+    if not is_tree or group not in tree.children:
+        got = f"one with {', '.join(tree.children) or 'none'}" if is_tree else shown(tree)
         raise TypeError(message(name, f"a DataTree with a group `{group}`", got, advice))
-    found = tree[group].to_dataset()
-    missing = [dim for dim in dims if not found.sizes.get(dim)]
-    if missing:
-        raise ValueError(
-            message(
-                name,
-                f"a DataTree whose `{group}` has values along {', '.join(dims)}",
-                f"none along {missing[0]}",
-                advice,
-            )
-        )
-    return found
+    dataset = tree[group].to_dataset()
+    for dim in dims:
+        if not dataset.sizes.get(dim):
+            what = f"a DataTree whose `{group}` has values along {', '.join(dims)}"
+            raise ValueError(message(name, what, f"none along {dim}", advice))
+    return dataset
 
 
 def check_model(model) -> "pm.Model":
@@ -347,6 +339,8 @@ def check_model(model) -> "pm.Model":
 
 def check_keywords(given: Mapping[str, object], known: Iterable[str], function: str) -> None:
     """Refuse names that `function` does not know, with the one that may be meant."""
+    import difflib  # not needed to read a record
+
     known = list(known)
     for name in given:
         if name not in known:

@@ -28,12 +28,12 @@ def fingerprint(*things) -> str:
         For what holds a lock, an open file or the like.
     """
     try:
-        return Reading().digest(things).hex()
+        return Hasher().digest(things).hex()
     except RecursionError:
         raise UnknownIdentityError("something is nested too deeply") from None
 
 
-class Reading:
+class Hasher:
     """Digests of things; each is read once, however often it is met."""
 
     def __init__(self):

@@ -107,15 +107,15 @@ def compare(
     (array([0.12, 0.88]), 0)
     """
     check_seed(random_seed, several=False)
-    found = candidates(models)
-    names = list(found)
+    classes = candidates(models)
+    names = list(classes)
     priors = prior_probabilities(prior, names)
-    values, errors = np.array([one.evidence for one in found.values()]).T
+    values, errors = np.array([one.evidence for one in classes.values()]).T
     probabilities, uncertain = posterior_probabilities(values, errors, priors)
     if uncertain.max() > UNCERTAIN:
         listed = ", ".join(f"{v:.1f} +- {e:.2g}" for v, e in zip(values, errors, strict=True))
-        wanted = "posteriors whose evidences are known well enough to compare them"
-        raise ValueError(message("models", wanted, listed, "Increase `draws` of `sample`."))
+        what = "posteriors whose evidences are known well enough to compare them"
+        raise ValueError(message("models", what, listed, "Increase `draws` of `sample`."))
     columns = {
         "log_evidence": values,
         "log_evidence_se": errors,
@@ -123,7 +123,7 @@ def compare(
         "probability": probabilities,
         "probability_se": uncertain,
     }
-    columns |= explanations(found, of_names(checks, names, "checks"))
+    columns |= explanations(classes, of_names(checks, names, "checks"))
     if scores := of_names(held_out, names, "held_out"):
         columns["stacking"] = stacking_weights(scores_of(scores))
     result = xr.Dataset({name: ("model", x) for name, x in columns.items()}, {"model": names})
@@ -186,21 +186,22 @@ def candidates(models) -> dict[str, Candidate]:
     plain = isinstance(models, Mapping) and not isinstance(models, xr.Dataset | xr.DataTree)
     if not plain or len(models) < 2 or not all(isinstance(name, str) for name in models):
         raise TypeError(message("models", "a dict of two or more posteriors", shown(models), SAMPLE_BOTH))
-    found = {name: candidate(name, value) for name, value in models.items()}
-    first, *others = found
+    classes = {name: candidate(name, value) for name, value in models.items()}
+    first, *others = classes
     for name in others:
-        if found[name].data != found[first].data:
+        if classes[name].data != classes[first].data:
             raise ValueError(
                 f"`models` must be of the same data, got others for {name} than for {first}. Sample both "
                 "with the same channels, window and sampling step."
             )
-        if found[name].kinds != found[first].kinds:
+        kinds = [", ".join(classes[one].kinds) for one in (first, name)]
+        if kinds[0] != kinds[1]:
             raise ValueError(
-                "`models` must have likelihoods that are densities of the same, got "
-                f"{', '.join(found[first].kinds)} for {first} and {', '.join(found[name].kinds)} for {name}: "
-                "their evidences have other units. Use one likelihood, or density='data' in both."
+                f"`models` must have likelihoods that are densities of the same, got {kinds[0]} for {first} "
+                f"and {kinds[1]} for {name}: their evidences have other units. Use one likelihood, or "
+                "density='data' in both."
             )
-    return found
+    return classes
 
 
 def candidate(name: str, value) -> Candidate:
@@ -214,15 +215,15 @@ def candidate(name: str, value) -> Candidate:
         stats = check_group(event, "models", "sample_stats", SAMPLE_BOTH).attrs
         observed = check_group(event, "models", "observed_data", SAMPLE_BOTH)
         if "likelihoods" not in stats:
-            wanted = "posteriors that say what their likelihoods are"
-            raise ValueError(message("models", wanted, f"none for {name}", SAMPLE_BOTH))
+            what = "posteriors that say what their likelihoods are"
+            raise ValueError(message("models", what, f"none for {name}", SAMPLE_BOTH))
         data += [(x.shape, x.values.astype(np.float64).tobytes()) for x in observed.data_vars.values()]
         kinds += json.loads(stats["likelihoods"]).values()
     total = product(map(evidence_of, events))
     if not np.isfinite(total).all():
         why = "`calibrate` stretches the likelihood" if "calibration" in events[0].children else "it has none"
-        wanted = "posteriors with an evidence and its standard error"
-        raise ValueError(message("models", wanted, f"none for {name}: {why}", SAMPLE_BOTH))
+        what = "posteriors with an evidence and its standard error"
+        raise ValueError(message("models", what, f"none for {name}: {why}", SAMPLE_BOTH))
     return Candidate(events, total, sorted(data), sorted(set(kinds)))
 
 
@@ -236,13 +237,13 @@ def of_names(values, names, argument: str) -> dict:
 
 def prior_probabilities(prior, names) -> np.ndarray:
     """Prior probabilities (model,), that sum to one."""
-    given = of_names(prior, names, "prior")
-    if not given:
+    weights = of_names(prior, names, "prior")
+    if not weights:
         return np.full(len(names), 1.0 / len(names))
-    numbers = as_numbers(list(given.values()), "prior")
+    numbers = as_numbers(list(weights.values()), "prior")
     check_finite(numbers, "prior")
     if numbers.ndim != 1 or not (numbers > 0.0).all():
-        raise ValueError(message("prior", "a positive number for each model", shown(list(given.values()))))
+        raise ValueError(message("prior", "a positive number for each model", shown(list(weights.values()))))
     return numbers / numbers.sum()
 
 
@@ -257,19 +258,19 @@ def posterior_probabilities(values, errors, priors):
     return normalised(values), normalised(values + errors * noise).std(axis=0)
 
 
-def explanations(found: dict[str, Candidate], models: dict) -> dict[str, np.ndarray]:
+def explanations(classes: dict[str, Candidate], models: dict) -> dict[str, np.ndarray]:
     """p-values (model,) of what each model leaves, as far as they can be had."""
     tests = {}
     for name, model in models.items():
         if not isinstance(model, pm.Model):
             raise TypeError(message("checks", "a dict of pymc.Model", f"{shown(model)} for {name}"))
-        if len(found[name].events) > 1:
+        if len(classes[name].events) > 1:
             raise ValueError(message("checks", "left out where models have several posteriors", name))
     if models:
-        whiteness = [residual_whiteness(model, found[name].events[0]) for name, model in models.items()]
+        whiteness = [residual_whiteness(model, classes[name].events[0]) for name, model in models.items()]
         tests["p_white"] = np.array(whiteness)
-    if all(len(one.events) > 1 for one in found.values()):
-        tests["p_events"] = np.array([event_check(one.events).attrs["p_value"] for one in found.values()])
+    if all(len(one.events) > 1 for one in classes.values()):
+        tests["p_events"] = np.array([event_check(one.events).attrs["p_value"] for one in classes.values()])
     return tests
 
 
@@ -313,8 +314,8 @@ def averaged(predictions: dict, probabilities, rng) -> xr.Dataset:
     """Draws (sample, ...) of all models, each as often as its model is probable."""
     for name, draws in predictions.items():
         if not (isinstance(draws, xr.Dataset) and {"chain", "draw"} <= set(draws.dims)):
-            wanted = "a dict of Datasets along chain and draw"
-            raise TypeError(message("predictions", wanted, f"{shown(draws)} for {name}"))
+            what = "a dict of Datasets along chain and draw"
+            raise TypeError(message("predictions", what, f"{shown(draws)} for {name}"))
     stacked = [
         draws.stack(sample=("chain", "draw")).reset_index("sample", drop=True)
         for draws in predictions.values()

@@ -199,9 +199,9 @@ def shared_names(hyper: pm.Model, events) -> list[str]:
     free = [rv.name for rv in hyper.free_RVs]
     names = [name for name in free if all(name in event["posterior"].data_vars for event in events)]
     if not names or len(names) == len(free):
-        wanted = "one with free variables that the events have, and others that these depend on"
+        what = "one with free variables that the events have, and others that these depend on"
         got = f"{', '.join(free)}, of which the events have {', '.join(names) or 'none'}"
-        raise ValueError(message("hyper", wanted, got, "Call them by the names of the events' parameters."))
+        raise ValueError(message("hyper", what, got, "Call them by the names of the events' parameters."))
     return names
 
 
@@ -429,8 +429,8 @@ def stored_draws(event, model, hyper: pm.Model, names: list[str], i: int) -> Sto
             raise ValueError(message("events", f"posteriors with numbers for {name}", f"none in event {i}"))
         check_finite(draws[name], "events", f"Those are draws of {name} in event {i}.")
         if draws[name].shape[1:] != shape_of(hyper, name):
-            wanted = f"posteriors with {name} of shape {shape_of(hyper, name)}, as in `hyper`"
-            raise ValueError(message("events", wanted, f"{draws[name].shape[1:]} in event {i}"))
+            what = f"posteriors with {name} of shape {shape_of(hyper, name)}, as in `hyper`"
+            raise ValueError(message("events", what, f"{draws[name].shape[1:]} in event {i}"))
     if model is not None:
         if missing := [name for name in names if name not in model.named_vars]:
             raise ValueError(message("models", f"ones with {', '.join(missing)}", f"none in model {i}"))
@@ -484,7 +484,7 @@ def described(idata, marginal: Marginal, rows, of_events: dict, sources, rng) ->
     idata["sample_stats"]["log_marginal_likelihood"] += evidence.value
     idata["sample_stats"].attrs["log_evidence_se"] = float(np.sqrt(error**2 + evidence.error**2 + noise))
     dims = {name: [f"{name}_dim_{i}" for i in range(len(shape_of(hyper, name)))] for name in theta}
-    dims |= {name: list(found) for name, found in hyper.named_vars_to_dims.items()}
+    dims |= {name: list(labels) for name, labels in hyper.named_vars_to_dims.items()}
 
     def shaped(values, *more):
         return {
@@ -492,11 +492,9 @@ def described(idata, marginal: Marginal, rows, of_events: dict, sources, rng) ->
             for name, x in values.items()
         }
 
-    coords = {dim: x for dim, x in hyper.coords.items() if x is not None}
     used = {dim for name in theta for dim in dims[name]}
-    coords = {"chain": posterior["chain"], "draw": posterior["draw"]} | {
-        dim: list(x) for dim, x in coords.items() if dim in used
-    }
+    coords = {"chain": posterior["chain"], "draw": posterior["draw"]}
+    coords |= {dim: list(x) for dim, x in hyper.coords.items() if x is not None and dim in used}
     events = shaped(theta, "event") | {name: ("event", x) for name, x in of_events.items()}
     idata["events"] = xr.DataTree(xr.Dataset(events, coords))
     idata["predictive"] = xr.DataTree(xr.Dataset(shaped(marginal.next_event(rows, rng)), coords))
@@ -513,8 +511,8 @@ def with_data_of(idata, events) -> None:
         if "observed_data" in event.children:
             for name, x in event["observed_data"].to_dataset().data_vars.items():
                 data[f"{name}_{e}"] = ([f"{dim}_{e}" for dim in x.dims], x.values)
-        told = event["sample_stats"].attrs.get("likelihoods") if "sample_stats" in event.children else None
-        kinds |= {f"{name}_{e}": kind for name, kind in json.loads(told or "{}").items()}
+        text = event["sample_stats"].attrs.get("likelihoods") if "sample_stats" in event.children else None
+        kinds |= {f"{name}_{e}": kind for name, kind in json.loads(text or "{}").items()}
     idata["observed_data"] = xr.DataTree(xr.Dataset(data))
     idata["sample_stats"].attrs["likelihoods"] = json.dumps(kinds)
     if set(kinds) != set(data):  # of one that some sampler has not told

@@ -42,7 +42,7 @@ from pymc_features.inference.sample import sample, summarise
 from pymc_features.smc import PersistentSMC, open_workers, population_logp, sample_smc
 from pymc_features.smc.kernels.base import KernelOptions
 from pymc_features.smc.kernels.checkpoint import model_fingerprint
-from pymc_features.smc.proposals.fitted import Unbent, fit_unbent
+from pymc_features.smc.proposals.fitted import Unbent, fit_unbent, held_out_scores
 from pymc_features.smc.proposals.mixture import equal_draws
 from pymc_features.smc.proposals.proposal import StudentMixture, StudentT, distinct, fit_mixture, moments
 from pymc_features.storage import PartStore
@@ -50,8 +50,6 @@ from pymc_features.storage import PartStore
 OWN_SHARE = 0.2  # of the model's own prior among the draws; it does not change the posterior
 FOR_ERROR = 200  # draws whose likelihood is asked for again
 ALARM = 0.5  # probability of a change from which there is an alarm
-HELD_OUT = 0.25  # share of the draws that decide between the kinds of fits
-SMALLEST = -300.0  # log-density that a held-out draw has at least in that decision
 CLEARLY = 0.01  # nats for each draw by which more must be better than a Gaussian: what it adds is noise else
 GAUSSIAN = 1e6  # degrees of freedom
 OF_RUN = ("drift", "forgetting", "change")  # of `continue_with` alone
@@ -246,8 +244,8 @@ def states_in_sequence(
     if not listed or not all(
         isinstance(event, Mapping if model is not None else pm.Model) for event in listed
     ):
-        wanted = "a sequence of pymc.Model, or with `model` of dicts for pymc.set_data"
-        raise TypeError(message("events", wanted, shown(events)))
+        what = "a sequence of pymc.Model, or with `model` of dicts for pymc.set_data"
+        raise TypeError(message("events", what, shown(events)))
     for name, value, least in (("draws", draws, 100), ("chains", chains, 1)):
         check_integer(value, name, least=least)
     check_seed(random_seed, several=False)
@@ -263,17 +261,17 @@ def states_in_sequence(
         if model is not None:
             pm.set_data(event, model=model)
         name, print_ = f"{i:05d}", model_fingerprint(of_event)
-        known = store.load(name)
-        if known is not None and known.attrs["model"] != print_:
+        stored = store.load(name)
+        if stored is not None and stored.attrs["model"] != print_:
             raise StudyMismatchError(
                 f"`out` must hold the same events, got {out} with another one at place {i}. Choose another "
                 "folder, or delete this one."
             )
-        if known is None:
-            known = one_event(idata, of_event, i, run, settings)
-            known.attrs["model"] = print_
-            store.save(name, known)
-        idata = known
+        if stored is None:
+            stored = one_event(idata, of_event, i, run, settings)
+            stored.attrs["model"] = print_
+            store.save(name, stored)
+        idata = stored
         yield idata
 
 
@@ -281,8 +279,8 @@ def one_event(before, model, i: int, run: dict, settings: dict) -> xr.DataTree:
     """The posterior after event i."""
     seed = None if run["random_seed"] is None else run["random_seed"] + i
     if before is None:
-        own = {name: value for name, value in settings.items() if name not in OF_RUN}
-        first = sample(run["draws"], chains=run["chains"], model=model, random_seed=seed, **own)
+        of_sample = {name: value for name, value in settings.items() if name not in OF_RUN}
+        first = sample(run["draws"], chains=run["chains"], model=model, random_seed=seed, **of_sample)
         first["sequence"] = xr.DataTree(sequence_of(first, model))
         return first
     return continue_with(before, model=model, draws=run["draws"], random_seed=seed, **settings)
@@ -325,18 +323,9 @@ def best_fit(x, weights, rng):
     All but the first must be better by more than what a fit to some thousand draws gains by chance.
     """
     weights = np.asarray(weights, dtype=float)
-    order = rng.permutation(len(x))
-    held, rest = np.split(order, [int(HELD_OUT * len(x))])
-
-    def score(kind):
-        try:
-            density = kind(x[rest], weights[rest], rng).log_density(x[held])
-        except (np.linalg.LinAlgError, ValueError):
-            return -np.inf
-        return weights[held] @ np.maximum(density, SMALLEST) / weights[held].sum()
-
     kinds = [fit_gaussian, fit_mixture, fit_unbent, partial(fit_unbent, rotated=False)]
-    scores = np.array([score(kind) for kind in kinds]) - CLEARLY * np.array([0.0, 1.0, 1.0, 1.0])
+    scores, total = held_out_scores(kinds, x, weights, rng.permutation(len(x)), rng)
+    scores = scores / total - CLEARLY * np.array([0.0, 1.0, 1.0, 1.0])
     return kinds[int(scores.argmax())](x, weights, rng)
 
 
@@ -370,15 +359,15 @@ class ContinuedSMC(PersistentSMC):
     def evaluate(self, particles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Log prior and log-likelihood, each (p,), of particles (p, d); counts evaluations and failures."""
         prior, likelihood = super().evaluate(particles)
-        known = np.log1p(-self.share) + self.before.log_density(particles)
-        mixed = np.logaddexp(known, np.log(self.share) + prior)
+        fitted = np.log1p(-self.share) + self.before.log_density(particles)
+        mixed = np.logaddexp(fitted, np.log(self.share) + prior)
         return np.where(prior > -np.inf, mixed, -np.inf), likelihood
 
     def initial_particles(self, n: int) -> np.ndarray:
         """Draws (n, d) from this prior."""
         n_own = self.rng.binomial(n, self.share)
-        known = self.before.draw(n - n_own, self.rng)
-        particles = np.concatenate([known, super().initial_particles(n_own)]) if n_own else known
+        fitted = self.before.draw(n - n_own, self.rng)
+        particles = np.concatenate([fitted, super().initial_particles(n_own)]) if n_own else fitted
         return particles[self.rng.permutation(n)]
 
 
@@ -409,10 +398,12 @@ def judged(model, result, before: FittedDensity, n_before: float, change: float,
     prior = population_logp(
         model, model.initial_point(), {}, name="prior", terms=lambda: (model.varlogp, pt.zeros(()))
     )
-    own = np.log(OWN_SHARE) + prior(x)[0]
-    known = np.log1p(-OWN_SHARE) + before.log_density(x)
-    log_own = own - np.logaddexp(own, known)  # share of the model's own prior in each draw
-    log_known = known - np.logaddexp(own, known)
+    model_prior = np.log(OWN_SHARE) + prior(x)[0]
+    fitted_prior = np.log1p(-OWN_SHARE) + before.log_density(x)
+    log_own = model_prior - np.logaddexp(
+        model_prior, fitted_prior
+    )  # share of the model's own prior in each draw
+    log_known = fitted_prior - np.logaddexp(model_prior, fitted_prior)
     mixed = evidence_of(result)
     fresh = mixed.value + log_mean(log_own) - np.log(OWN_SHARE)
     score = mixed.value + log_mean(log_known) - np.log1p(-OWN_SHARE)

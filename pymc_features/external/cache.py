@@ -161,7 +161,7 @@ def before_fork():
 
 
 def after_fork():
-    """Let them open again."""
+    """Reopen connections after a fork."""
     while _HELD:
         _HELD.pop().lock.release()
 

@@ -46,7 +46,7 @@ class Lines:
             print(self.line(now), file=sys.stderr, flush=True)
 
     def line(self, now: float) -> str:
-        """The line."""
+        """Text of the progress line."""
         done = self.done - self.before
         rate = self.done / max(self.seconds + now - self.batch_start, 1e-9)
         text = f"simulations: {self.done} done, {self.failed} failed, {rate:.3g}/s"

@@ -171,7 +171,7 @@ class SimulatorProcess:
 
     @property
     def usable(self) -> bool:
-        """Return whether the process can be asked again."""
+        """Whether the process can take another task."""
         return not self.connection.closed
 
     def close(self):

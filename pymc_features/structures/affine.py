@@ -86,11 +86,11 @@ class AffineStructure(LinearStructure):
         theta: Values | None = None,
     ):
         stiffness = as_matrix(stiffness, "stiffness", "N/m")
-        given = {"mass": mass_terms, "damping": damping_terms, "stiffness": stiffness_terms}
-        given = {kind: _listed(terms, f"{kind}_terms") for kind, terms in given.items()}
-        lengths = {len(terms) for terms in given.values()} - {0}
+        terms_of = {"mass": mass_terms, "damping": damping_terms, "stiffness": stiffness_terms}
+        terms_of = {kind: _listed(terms, f"{kind}_terms") for kind, terms in terms_of.items()}
+        lengths = {len(terms) for terms in terms_of.values()} - {0}
         if len(lengths) != 1:
-            listed = ", ".join(f"{len(terms)} {kind}_terms" for kind, terms in given.items())
+            listed = ", ".join(f"{len(terms)} {kind}_terms" for kind, terms in terms_of.items())
             raise ValueError(
                 "`stiffness_terms`, `mass_terms` and `damping_terms` must have one entry for each parameter, "
                 f"got {listed}. Pass None where a parameter does not act."
@@ -98,10 +98,10 @@ class AffineStructure(LinearStructure):
         self.n_parameters = lengths.pop()
         terms = tuple(
             tuple(_term(a, kind, i, stiffness) for i, a in enumerate(matrices)) or (None,) * self.n_parameters
-            for kind, matrices in given.items()
+            for kind, matrices in terms_of.items()
         )
         self._install_constants((mass, stiffness, damping), influence, terms)
-        if given["damping"] and self._terms[1] is None:
+        if terms_of["damping"] and self._terms[1] is None:
             raise TypeError(
                 f"`damping` must be a matrix to go with `damping_terms`, got {type(damping).__name__}. "
                 "Pass C_0, which may be zero."
@@ -153,23 +153,28 @@ class AffineStructure(LinearStructure):
         >>> cantilever.with_parameters({"mass": 1000.0, "EI": 2e6}).stiffness
         array([[750000.]])
         """
-        found = AffineTerms(build, parameters, damping is None)
-        if damping is None and "damping" not in found.constants:
+        affine = AffineTerms(build, parameters, damping is None)
+        return cls._of_terms(affine, damping, influence)
+
+    @classmethod
+    def _of_terms(cls, affine, damping, influence=None) -> Self:
+        """The structure of terms that have a name, a nominal value and a matrix or more each."""
+        if damping is None and "damping" not in affine.constants:
             raise ValueError(
                 "`damping` must be given if `build` returns (M, K), got None. Pass ModalDamping(ratios), "
                 "RayleighDamping(alpha, beta) or C in N s/m."
             )
         structure = cls(
-            found.constants["mass"],
-            stiffness=found.constants["stiffness"],
-            damping=found.constants["damping"] if damping is None else damping,
-            stiffness_terms=found.terms["stiffness"],
-            mass_terms=found.terms["mass"],
-            damping_terms=found.terms.get("damping", ()),
+            affine.constants["mass"],
+            stiffness=affine.constants["stiffness"],
+            damping=affine.constants["damping"] if damping is None else damping,
+            stiffness_terms=affine.terms["stiffness"],
+            mass_terms=affine.terms["mass"],
+            damping_terms=affine.terms.get("damping", ()) if damping is None else (),
             influence=influence,
-            theta=list(found.nominal.values()),
+            theta=list(affine.nominal.values()),
         )
-        structure.parameter_names = tuple(found.nominal)
+        structure.parameter_names = tuple(affine.nominal)
         return structure
 
     @classmethod
@@ -229,10 +234,10 @@ class AffineStructure(LinearStructure):
                [-0.5,  0.5]])
         """
         exports = Exports(base, terms, units)
-        found = cls.from_matrices(exports.build, dict.fromkeys(exports.terms, 1.0), damping=damping)
+        structure = cls._of_terms(exports, damping)
         if exports.labels is None and direction is None:
-            return found
-        return found._shaken(direction, DofNames.of(exports.labels or ()))
+            return structure
+        return structure._shaken(direction, DofNames.of(exports.labels or ()))
 
     @classmethod
     def from_opensees(
@@ -275,13 +280,13 @@ class AffineStructure(LinearStructure):
         `eigen` to 1e-6, histories those of its integration to 0.1 % (tests/structures/test_opensees.py).
         """
         model = OpenSeesModel(check_callable(build, "build", "Pass a function of the parameters."))
-        found = cls.from_matrices(model, parameters, damping=damping)
+        structure = cls.from_matrices(model, parameters, damping=damping)
         if damping is None and not model.is_damped:
             raise ValueError(
                 "`damping` must be given if the model has none, got None. Pass ModalDamping(ratios) or "
                 "RayleighDamping(alpha, beta), or call `rayleigh` in `build`."
             )
-        return found._shaken(direction, model.names)
+        return structure._shaken(direction, model.names)
 
     def _shaken(self, direction, names: DofNames):
         """The structure with names, in a ground motion of some directions."""
@@ -410,13 +415,15 @@ class AffineTerms:
 
     def assembled(self, values: Mapping[str, float]) -> dict:
         """The matrices that `build` returns, by kind, as `csc_array`; all of one size."""
-        found = self.build(**values)
-        if not isinstance(found, tuple | list) or len(found) not in (2, 3):
-            got = f"{len(found)} of them" if isinstance(found, tuple | list) else type(found).__name__
+        returned = self.build(**values)
+        if not isinstance(returned, tuple | list) or len(returned) not in (2, 3):
+            got = (
+                f"{len(returned)} of them" if isinstance(returned, tuple | list) else type(returned).__name__
+            )
             raise TypeError(message("build", "a function that returns (M, C, K) or (M, K)", got))
-        kinds = ("mass", "damping", "stiffness") if len(found) == 3 else ("mass", "stiffness")
-        self.is_sparse |= sparse.issparse(found[-1])
-        matrices = {kind: as_sparse(a, kind) for kind, a in zip(kinds, found, strict=True)}
+        kinds = ("mass", "damping", "stiffness") if len(returned) == 3 else ("mass", "stiffness")
+        self.is_sparse |= sparse.issparse(returned[-1])
+        matrices = {kind: as_sparse(a, kind) for kind, a in zip(kinds, returned, strict=True)}
         shapes = {kind: a.shape for kind, a in matrices.items()}
         self.shapes = self.shapes or shapes
         if self.shapes != shapes or len(set(shapes.values())) > 1:
@@ -478,10 +485,10 @@ class AffineTerms:
 def check_parameters(parameters) -> dict[str, float]:
     """Names and finite nominal values, at least one."""
     advice = "Pass for example {'E': 30e9}."
-    given = check_mapping(parameters, "parameters", "a mapping of names to nominal values", advice)
-    if not given:
+    values = check_mapping(parameters, "parameters", "a mapping of names to nominal values", advice)
+    if not values:
         raise ValueError(message("parameters", "one or more", shown(parameters), advice))
-    nominal = {name: check_number(x, f"parameters[{name!r}]", advice) for name, x in given.items()}
+    nominal = {name: check_number(x, f"parameters[{name!r}]", advice) for name, x in values.items()}
     for name, value in nominal.items():
         if not np.isfinite(value):
             raise ValueError(message(f"parameters[{name!r}]", "finite", value, advice))
@@ -522,9 +529,9 @@ def as_sparse(value, kind) -> sparse.csc_array:
 
 def without_rounding(difference, size) -> sparse.csc_array:
     """A difference without the entries that are only rounding of what it is between."""
-    kept = sparse.csc_array(difference.multiply(abs(difference) > ROUNDING * size))
-    kept.eliminate_zeros()
-    return kept
+    entries = sparse.csc_array(difference.multiply(abs(difference) > ROUNDING * size))
+    entries.eliminate_zeros()
+    return entries
 
 
 def in_words(names) -> str:

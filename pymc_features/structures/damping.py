@@ -77,8 +77,8 @@ class RayleighDamping(Damping):
             If the frequencies coincide, or a coefficient would be negative, which would feed energy
             into modes outside the two; if a ratio is random, for then this cannot be checked.
         """
-        given = unpacked(ratios), unpacked(natural_frequencies)
-        if holds_variables(given) or any(map(holds_variables, given)):
+        values = unpacked(ratios), unpacked(natural_frequencies)
+        if holds_variables(values) or any(map(holds_variables, values)):
             raise TypeError(
                 "`ratios` and `natural_frequencies` must be numbers, got PyTensor variables. For a random "
                 "ratio zeta pass RayleighDamping(zeta * unit.alpha, zeta * unit.beta), with "

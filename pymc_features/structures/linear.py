@@ -43,7 +43,7 @@ class DofNames(NamedTuple):
 
     Attributes
     ----------
-    own : dict of str to int
+    dofs : dict of str to int
         Names of the degrees of freedom, in their order.
     followers : mapping of str to array (n,)
         Names of displacements that are combinations S x of the degrees of freedom, with their rows of S.
@@ -51,7 +51,7 @@ class DofNames(NamedTuple):
         Names of displacements that supports prevent.
     """
 
-    own: dict[str, int]
+    dofs: dict[str, int]
     followers: Mapping[str, np.ndarray]
     held: Iterable[str]
 
@@ -63,14 +63,14 @@ class DofNames(NamedTuple):
     def rows(self, names: Sequence[str]) -> np.ndarray:
         """Degrees of freedom (s,), or rows (s, n) of S where one of the names is that of a follower."""
         for name in names:
-            if name not in self.own and name not in self.followers:
+            if name not in self.dofs and name not in self.followers:
                 raise ValueError(self.refusal(name))
-        if all(name in self.own for name in names):
-            return np.array([self.own[name] for name in names])
-        rows = np.zeros((len(names), len(self.own)))
+        if all(name in self.dofs for name in names):
+            return np.array([self.dofs[name] for name in names])
+        rows = np.zeros((len(names), len(self.dofs)))
         for row, name in zip(rows, names, strict=True):
-            if name in self.own:
-                row[self.own[name]] = 1.0
+            if name in self.dofs:
+                row[self.dofs[name]] = 1.0
             else:
                 row[:] = self.followers[name]
         return rows
@@ -81,19 +81,19 @@ class DofNames(NamedTuple):
             return message(
                 "sensors", "free to move", shown(name), "It moves with the base: pass the record itself."
             )
-        known = [*self.own, *self.followers]
-        close = get_close_matches(name, known, n=3, cutoff=0.6)
+        names = [*self.dofs, *self.followers]
+        close = get_close_matches(name, names, n=3, cutoff=0.6)
         advice = f"Is {' or '.join(close)} meant?" if close else ASK
-        first = ", ".join(known[:FEW]) + (f" and {len(known) - FEW} others" if len(known) > FEW else "")
+        first = ", ".join(names[:FEW]) + (f" and {len(names) - FEW} others" if len(names) > FEW else "")
         return message("sensors", f"among {first}", shown(name), advice)
 
     def influence(self, direction: str) -> np.ndarray:
         """Displacements (n,) under a unit displacement of the ground in one direction."""
-        known = sorted({name.partition(":")[2] for name in self.own} & {"x", "y", "z"})
-        if direction not in known:
+        directions = sorted({name.partition(":")[2] for name in self.dofs} & {"x", "y", "z"})
+        if direction not in directions:
             advice = "It is that of the ground motion, by the names of the degrees of freedom."
-            raise ValueError(message("direction", f"one of {listed(known)}", shown(direction), advice))
-        influence = np.array([name.endswith(f":{direction}") for name in self.own], dtype=np.float64)
+            raise ValueError(message("direction", f"one of {listed(directions)}", shown(direction), advice))
+        influence = np.array([name.endswith(f":{direction}") for name in self.dofs], dtype=np.float64)
         for name, row in self.followers.items():
             if abs(row @ influence - name.endswith(f":{direction}")) > 1e-9:
                 raise ValueError(
@@ -177,8 +177,8 @@ class LinearStructure(Structure):
         kind, pattern = to_dense, None
         if sparse.issparse(stiffness):
             kind = sparse.csc_array
-            given = (*constants, *terms[0], *terms[1], *terms[2])
-            pattern = common_pattern([a for a in given if a is not None])
+            stacked = (*constants, *terms[0], *terms[1], *terms[2])
+            pattern = common_pattern([a for a in stacked if a is not None])
         self._terms = tuple(
             None if a is None else AffineMatrix(kind(a), added, pattern)
             for a, added in zip(constants, terms, strict=True)
@@ -279,10 +279,10 @@ class LinearStructure(Structure):
     def _coefficients(self, n_modes=None):
         """Rayleigh pair, and ratios of all modes they are given for, or of the lowest `n_modes`."""
         ratios = getattr(self.damping, "ratios", None)
-        given = (None if ratios is None else static_length(ratios)) or self.n_dof
+        length = (None if ratios is None else static_length(ratios)) or self.n_dof
         if n_modes is None:
-            return self.damping.coefficients(min(given, self.n_dof))
-        rayleigh, ratios = self.damping.coefficients(max(given, n_modes))
+            return self.damping.coefficients(min(length, self.n_dof))
+        rayleigh, ratios = self.damping.coefficients(max(length, n_modes))
         return rayleigh, ratios[:n_modes]
 
     def _numbers(self):
@@ -363,7 +363,7 @@ class LinearStructure(Structure):
     @property
     def dof_names(self) -> tuple[str, ...] | None:
         """Names of the degrees of freedom in their order; None where they have none."""
-        return None if self._names is None else tuple(self._names.own)
+        return None if self._names is None else tuple(self._names.dofs)
 
     def with_names(self, names: Sequence[str]) -> Self:
         """Return the structure with names of its degrees of freedom, for `sensors=["12:x", ...]`.

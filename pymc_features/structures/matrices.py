@@ -171,15 +171,15 @@ def check_stiffness(mass, stiffness, massless: Massless):
 def warn_of_lost_digits(mass, stiffness, omega) -> None:
     """Warn where stiff parts leave no digits to soft ones in the sums that a matrix holds."""
     masses, springs = mass.diagonal(), stiffness.diagonal()
-    own = np.divide(springs, masses, out=np.full(len(masses), np.nan), where=masses > 0.0)
-    if np.isnan(own).all():
+    ratios = np.divide(springs, masses, out=np.full(len(masses), np.nan), where=masses > 0.0)
+    if np.isnan(ratios).all():
         return
-    limit = LOST * np.nanmax(own)
+    limit = LOST * np.nanmax(ratios)
     elastic = omega[omega > 0.0]
-    if (elastic**2 < limit).any() or (len(elastic) < len(omega) and np.nanmin(own) < limit):
+    if (elastic**2 < limit).any() or (len(elastic) < len(omega) and np.nanmin(ratios) < limit):
         warnings.warn(
             f"frequencies below {np.sqrt(limit) / (2.0 * np.pi):.3g} Hz are lost to rounding beside the "
-            f"stiffness at {named([int(np.nanargmax(own))])}. Lower it, for parts 1e6 times as stiff as "
+            f"stiffness at {named([int(np.nanargmax(ratios))])}. Lower it, for parts 1e6 times as stiff as "
             "those around them are as good as rigid, or declare a chain as SpringMassChain.",
             skip_file_prefixes=(str(Path(__file__).parents[1]),),
         )
@@ -211,9 +211,9 @@ def check_static_damping(dampings, stiffnesses, massless: Massless) -> None:
     ]
     square = sum((stiffness * stiffness).sum() for _, stiffness in pairs)
     beta = sum((damping * stiffness).sum() for damping, stiffness in pairs) / (square or 1.0)
-    given = sum(abs(damping).sum(axis=1) for damping, _ in pairs)
+    size = sum(abs(damping).sum(axis=1) for damping, _ in pairs)
     wrong = sum(abs(damping - beta * stiffness).sum(axis=1) for damping, stiffness in pairs)
-    wrong = np.flatnonzero(wrong > PROPORTIONAL * given.max())
+    wrong = np.flatnonzero(wrong > PROPORTIONAL * size.max())
     if wrong.size:
         raise ValueError(
             "`damping` must be zero where there is no mass, or a multiple of `stiffness`, got dashpots at "

@@ -69,7 +69,7 @@ class OpenSeesModel:
             damping = left_hand_side(ops, 0.0, 1.0, SHARE) - SHARE * stiffness
             if self.names is None:
                 self.names = names_of(ops, len(stiffness))
-                check_held(self.names.own, mass, stiffness)
+                check_held(self.names.dofs, mass, stiffness)
             self.is_damped |= bool(damping.any())
         finally:
             ops.wipe()
@@ -122,7 +122,7 @@ def check_held(names, mass, stiffness) -> None:
 
 def names_of(ops, n: int) -> DofNames:
     """Names of all displacements of all nodes, by the equations that OpenSees gives them."""
-    own, followers, held = [f"equation {i}" for i in range(n)], {}, []
+    dofs, followers, held = [f"equation {i}" for i in range(n)], {}, []
     tied = list(ops.getConstrainedNodes() or [])
     for node in ops.getNodeTags():
         names = displacements(ops, node)
@@ -131,7 +131,7 @@ def names_of(ops, n: int) -> DofNames:
                 if equation < 0:
                     held.append(name)
                 else:
-                    own[equation] = name
+                    dofs[equation] = name
     ops.timeSeries("Constant", TAG)
     ops.integrator("GimmeMCK", 0.0, 0.0, 1.0)
     ops.algorithm("Linear", "-factorOnce")
@@ -147,8 +147,8 @@ def names_of(ops, n: int) -> DofNames:
             elif i + 1 in constrained:
                 followers[name] = row
             else:
-                own[int(np.flatnonzero(row)[0])] = name
-    return DofNames({name: i for i, name in enumerate(own)}, followers, held)
+                dofs[int(np.flatnonzero(row)[0])] = name
+    return DofNames({name: i for i, name in enumerate(dofs)}, followers, held)
 
 
 def right_hand_side(ops, node: int | None, load: list[float]) -> np.ndarray:
@@ -157,9 +157,9 @@ def right_hand_side(ops, node: int | None, load: list[float]) -> np.ndarray:
     if node is not None:
         ops.load(node, *load)
     ops.analyze(1, 0.0)
-    found = np.array(ops.printB("-ret"))
+    side = np.array(ops.printB("-ret"))
     ops.remove("loadPattern", TAG)
-    return found
+    return side
 
 
 def displacements(ops, node: int) -> list[str]:
@@ -170,14 +170,14 @@ def displacements(ops, node: int) -> list[str]:
 
 
 class Exports:
-    """The matrices of `AffineStructure.from_files` as a function of factors of properties.
+    """Terms of the matrices of `AffineStructure.from_files`, whose parameters are factors of properties.
 
     Attributes
     ----------
-    terms : dict of str to dict
-        Changes of the matrices, by parameter, per unit of its factor.
+    nominal, constants, terms : dict
+        As of `AffineTerms`; all factors are 1.
     labels : list of str or None
-        Degrees of freedom that are kept.
+        Degrees of freedom that are free to move.
     """
 
     def __init__(self, base, terms, units: str | None):
@@ -189,61 +189,53 @@ class Exports:
             raise ValueError(message("base", what, ", ".join(whole) or "none", "Name them: {'mass': ...}."))
         if not isinstance(terms, Mapping) or not terms:
             raise TypeError(message("terms", "a mapping of parameters to (path, factor)", shown(terms)))
-        changes = {str(name): self._change(str(name), given, whole) for name, given in terms.items()}
-        kept = self._kept(whole, labels)
-        self.labels = None if labels is None else [labels[k] for k in kept]
-        self.base = {name: matrix[kept][:, kept] for name, matrix in whole.items()}
+        changes = {str(name): self._change(str(name), source, whole) for name, source in terms.items()}
+        free = self._free(whole, labels)
+        self.labels = None if labels is None else [labels[k] for k in free]
+        self.nominal = dict.fromkeys(changes, 1.0)
         self.terms = {
-            name: {part: matrix[kept][:, kept] for part, matrix in change.items()}
-            for name, change in changes.items()
+            part: [change[part][free][:, free] if part in change else None for change in changes.values()]
+            for part in whole
+        }
+        self.constants = {
+            part: matrix[free][:, free] - sum(a for a in self.terms[part] if a is not None)
+            for part, matrix in whole.items()
         }
 
-    def build(self, **factors):
-        """(M, C, K), or (M, K) without damping, of factors of the properties."""
-        parts = []
-        for part, matrix in self.base.items():
-            changes = [
-                (factors[name] - 1.0) * change[part] for name, change in self.terms.items() if part in change
-            ]
-            parts.append((part, sum(changes, matrix)))
-        found = dict(parts)
-        order = ("mass", "damping", "stiffness") if "damping" in found else ("mass", "stiffness")
-        return tuple(found[part] for part in order)
-
-    def _read(self, given, name: str) -> tuple[dict, list[str] | None]:
+    def _read(self, source, name: str) -> tuple[dict, list[str] | None]:
         """Matrices by part, in SI units, and the degrees of freedom where files name them."""
-        parts = given if isinstance(given, Mapping) else {None: given}
-        found, labels = {}, None
+        parts = source if isinstance(source, Mapping) else {None: source}
+        by_kind, labels = {}, None
         for part, entry in parts.items():
             pair = as_list(entry) if not isinstance(entry, str | PathLike) else [entry, None]
             if part not in (None, *NAMES) or pair is None or len(pair) != 2:
                 what = f"a path, or a mapping of {', '.join(NAMES)} to paths or (path, name)"
-                raise TypeError(message(name, what, shown(given)))
+                raise TypeError(message(name, what, shown(source)))
             path = check_path(pair[0], name)
             check_readable(path, name)
             matrices = read_matrices(path)
             for matrix, value in matrices.items():
                 usual = next((one for one, names in NAMES.items() if matrix.lower() in names), None)
                 alone = "stiffness" if name != "base" and len(matrices) == 1 else None
-                own = part or usual or alone
-                wanted = matrix == pair[1] if pair[1] is not None else len(matrices) == 1 or usual == own
-                if own is not None and wanted:
-                    found[own] = self._factors[own] * (np.diag(value) if value.ndim == 1 else value)
+                kind = part or usual or alone
+                is_meant = matrix == pair[1] if pair[1] is not None else len(matrices) == 1 or usual == kind
+                if kind is not None and is_meant:
+                    by_kind[kind] = self._factors[kind] * (np.diag(value) if value.ndim == 1 else value)
                     labels = matrices.labels.get(matrix, labels)
-            if part is not None and part not in found:
+            if part is not None and part not in by_kind:
                 got = f"{path.name} with {listed(list(matrices))}"
                 raise ValueError(message(name, f"a file with the {part}", got))
-        return {part: _square(matrix, part, name) for part, matrix in found.items()}, labels
+        return {part: _square(matrix, part, name) for part, matrix in by_kind.items()}, labels
 
-    def _change(self, name: str, given, whole: dict) -> dict:
+    def _change(self, name: str, source, whole: dict) -> dict:
         """Changes of the matrices per unit of a factor, by one export or by two that agree."""
         where, slopes = f"terms[{name!r}]", []
-        for pair in [given] if isinstance(given, tuple) else as_list(given) or [None]:
+        for pair in [source] if isinstance(source, tuple) else as_list(source) or [None]:
             if as_list(pair) is None or len(pair) != 2:
-                raise TypeError(message(where, "(path, factor), or several", shown(given)))
+                raise TypeError(message(where, "(path, factor), or several", shown(source)))
             entry, factor = pair[0], check_number(pair[1], where)
-            found, _ = self._read(entry, where)
-            changed = {part: matrix for part, matrix in found.items() if part in whole}
+            exported, _ = self._read(entry, where)
+            changed = {part: matrix for part, matrix in exported.items() if part in whole}
             sizes = {matrix.shape[0] for matrix in [*changed.values(), *whole.values()]}
             if factor == 1.0 or not changed:
                 raise ValueError(message(where, "an export of a factor other than 1", shown(pair)))
@@ -258,10 +250,13 @@ class Exports:
                         f"`{where}` must change the {part} in proportion to its factor, two exports differ "
                         f"by {off / largest:.2g} of the change. Choose a property in which it is linear."
                     )
-        return {part: change for part, change in slopes[0].items() if abs(change).max() > 0.0}
+        changes = {part: change for part, change in slopes[0].items() if abs(change).max() > 0.0}
+        if not changes:
+            raise ValueError(message(where, "an export that changes a matrix", "none"))
+        return changes
 
     @staticmethod
-    def _kept(whole: dict, labels: list[str] | None) -> np.ndarray:
+    def _free(whole: dict, labels: list[str] | None) -> np.ndarray:
         """Degrees of freedom that have stiffness or mass and are free to move."""
         mass, stiffness = whole["mass"], whole["stiffness"]
         if mass.shape != stiffness.shape:

@@ -36,8 +36,8 @@ class Deterioration(Described):
         return tuple(getattr(self, name) for name in self.inputs)
 
     def __repr__(self):
-        given = ", ".join(f"{name}={value}" for name, value in zip(self.inputs, self.values(), strict=True))
-        return f"{type(self).__name__}({given})"
+        listed = ", ".join(f"{name}={value}" for name, value in zip(self.inputs, self.values(), strict=True))
+        return f"{type(self).__name__}({listed})"
 
 
 class Degradation(Deterioration):

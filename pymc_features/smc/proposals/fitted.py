@@ -14,7 +14,7 @@ HEAVIEST = 6.0  # degrees of freedom at most, so that a proposal's tails do not 
 WIDER = 1.1  # what is drawn from, over a mixture fitted behind a map, and the safeguard
 SAFEGUARD = 0.2  # its share
 SHARES_OF_TWO = 0.45, 0.4, 0.15  # of two maps, and of the safeguard beside them
-HELD_OUT = 0.25  # share of the points that decide between the two kinds
+HELD_OUT = 0.25  # share of the points that decide between the kinds
 SMALLEST = -300.0  # log-density that a held-out point has at least in that decision
 
 
@@ -76,6 +76,23 @@ def heavy_tailed(mixture: StudentMixture, wider: float = 1.0) -> StudentMixture:
     return StudentMixture(components, mixture.weights)
 
 
+def held_out_scores(kinds, x, weights, order, rng) -> tuple[np.ndarray, float]:
+    """Log-density (kind,) of each kind of fit at the first points of `order`, to which it was not fitted.
+
+    Summed by the weights of these points, which are the second result.
+    """
+    held, rest = np.split(order, [int(HELD_OUT * len(x))])
+
+    def score(kind):
+        try:
+            density = kind(x[rest], weights[rest], rng).log_density(x[held])
+        except (np.linalg.LinAlgError, ValueError):
+            return -np.inf
+        return weights[held] @ np.maximum(density, SMALLEST)
+
+    return np.array([score(kind) for kind in kinds]), weights[held].sum()
+
+
 def fit_proposal(x, weights, rng: np.random.Generator, bounded=None) -> FittedProposal:
     """Fit to distinct points (n, d) with weights (n,): how often each counts.
 
@@ -86,19 +103,11 @@ def fit_proposal(x, weights, rng: np.random.Generator, bounded=None) -> FittedPr
     """
     weights = np.asarray(weights, dtype=float)
     order = rng.permutation(len(x))
-    n_held = int(HELD_OUT * len(x))
-    held, rest = order[:n_held], order[n_held:]
-
-    def score(kind):
-        try:
-            density = kind(x[rest], weights[rest], rng).log_density(x[held])
-        except (np.linalg.LinAlgError, ValueError):
-            return -np.inf
-        return weights[held] @ np.maximum(density, SMALLEST)
-
     plain = fit_mixture(x, weights, rng)
     bent = [partial(fit_unbent, bounded=bounded, rotated=rotated) for rotated in (True, False)]
-    best = max((fit_mixture, *bent), key=score)
+    kinds = [fit_mixture, *bent]
+    scores, _ = held_out_scores(kinds, x, weights, order, rng)
+    best = kinds[int(scores.argmax())]
     first = plain if best is fit_mixture else best(x, weights, rng)
     if first is not plain:
         first = first._replace(mixture=heavy_tailed(first.mixture, WIDER))
