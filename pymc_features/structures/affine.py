@@ -308,6 +308,8 @@ class AffineStructure(LinearStructure):
             if vector.ndim == 1 and vector.type.shape[0] in (None, p):
                 return vector
             got = f"a tensor of shape {vector.type.shape}"
+            if not isinstance(theta, Variable):
+                got = f"{len(theta)} values" if vector.ndim == 1 else "entries that are no scalars"
         else:
             vector = np.atleast_1d(as_numbers(theta, "theta", advice, what=NUMBERS))
             if vector.shape == (p,) and np.isfinite(vector).all():
