@@ -12,9 +12,9 @@ import numpy as np
 import pymc as pm
 
 import pymc_features as pmf
-from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, exact_posterior
-from pymc_features.likelihoods.truncnormal import exponents
+from pymc_features.likelihoods.catalogue import TN
 from pymc_features.simulators import ChainParameters, Excitation, Outputs, chain_discrepancy
+from pymc_features.study.exact import DiscrepancyCurve, exact_posterior
 
 LOWER = np.array([0.5, 0.01])  # theta [-], sigma [m/s^2]
 UPPER = np.array([1.5, 0.5])
@@ -54,7 +54,7 @@ class Problem:
         """Marginals and log evidence by quadrature."""
         bounds = tuple(zip(LOWER, UPPER, strict=True))
         curve = DiscrepancyCurve(lambda theta: self.discrepancies(theta).sum(), bounds[0], self.measured.size)
-        return exact_posterior(curve, exponents(*self.measured.shape), bounds[1])
+        return exact_posterior(curve, TN.exponents(*self.measured.shape), bounds[1])
 
     @cached_property
     def model(self):

@@ -12,7 +12,7 @@ import numpy as np
 
 from pymc_features import datasets, paper
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.likelihoods.exact.step import STATISTICS
+from pymc_features.study.exact import STATISTICS, reference
 from pymc_features.study.settings import Study
 
 LABELS = {
@@ -30,9 +30,7 @@ def intervals(record, multipliers=paper.MULTIPLIERS):
     study = Study(record, likelihoods=list(LABELS), multipliers=multipliers)
     columns = [STATISTICS.index(name) for name in ("q05", "q50", "q95")]
     return study.step(np.array(study.multipliers)), {
-        kind: np.array(
-            [LIKELIHOODS[kind].reference(study.misfit(m)).statistics[0, columns] for m in study.multipliers]
-        )
+        kind: np.array([reference(kind, study.misfit(m)).statistics[0, columns] for m in study.multipliers])
         for kind in LABELS
     }
 

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from contextlib import contextmanager
 from numbers import Integral, Real
+from importlib.util import find_spec
 from pathlib import Path
 from reprlib import Repr
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 LONGEST = 80  # characters of a value in a message
 MOST = 20  # names in a list
+LIBRARIES = (str(Path(__file__).parent), *find_spec("pymc").submodule_search_locations)  # no user's
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # of a file system that takes no more
 _SHORT = Repr(maxlist=12, maxtuple=12, maxdict=6, maxlong=40, maxstring=LONGEST, maxother=LONGEST)
 SAMPLING_INTERVAL = "Pass the sampling interval in seconds."
@@ -60,8 +62,8 @@ def listed(names: Sequence, most: int = MOST) -> str:
 
 
 def warn_caller(text: str, category: type[Warning] = UserWarning) -> None:
-    """Warn at the line that called into this package from outside."""
-    warnings.warn(text, category, skip_file_prefixes=(str(Path(__file__).parent),))
+    """Warn at the line that called into this package, or into PyMC on the way to it, from outside."""
+    warnings.warn(text, category, skip_file_prefixes=LIBRARIES)
 
 
 @contextmanager

@@ -3,13 +3,6 @@
 from pymc_features import datasets, exceptions, plots, signals
 from pymc_features.ambient import AmbientResponse, spectral_response
 from pymc_features.calibration import calibrate, effective_samples, event_check, fill_degrees
-from pymc_features.distributions import (
-    CorrelatedNormal,
-    ExpFeature,
-    GammaFeature,
-    TruncNormalFeature,
-    sigma_mpv,
-)
 from pymc_features.emulation import emulate
 from pymc_features.events import compare, hierarchical
 from pymc_features.events.sequence import continue_with, sample_in_sequence
@@ -32,7 +25,15 @@ from pymc_features.io import (
     read_record,
     write_channels,
 )
-from pymc_features.likelihood_free import DiscrepancySimulator, abc_tolerance
+from pymc_features.likelihoods import (
+    CorrelatedNormal,
+    DiscrepancySimulator,
+    ExpFeature,
+    GammaFeature,
+    TruncNormalFeature,
+    abc_tolerance,
+    sigma_mpv,
+)
 from pymc_features.modal import ModalData, merge_setups
 from pymc_features.modal.files import read_modal, write_modal
 from pymc_features.modal_features import ModalFeature, mac, match_modes, modes

@@ -117,7 +117,7 @@ def test_scores(benchmarks):
     """Independent draws are worth their number: R = 200, so that the effective size is known to 10 %."""
     from benchmarks.methods.result import Result
     from benchmarks.scores import score
-    from pymc_features.likelihoods.exact.quadrature import ExactPosterior, Marginal
+    from pymc_features.study.exact import ExactPosterior, Marginal
 
     nodes = np.linspace(-8.0, 8.0, 2001)
     normal = Marginal.on_grid(nodes, np.exp(-0.5 * nodes**2), nodes)

@@ -9,9 +9,9 @@ from pymc.model.transform.conditioning import remove_value_transforms
 from scipy import stats
 
 import pymc_features as pmf
-from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, Exponents, exact_posterior
 from pymc_features.smc.density.evaluation import population_logp
 from pymc_features.smc.proposals.proposal import fit_mixture
+from pymc_features.study.exact import DiscrepancyCurve, Exponents, exact_posterior
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 try:

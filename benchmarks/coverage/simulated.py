@@ -7,7 +7,7 @@ from benchmarks.coverage.chain import N_FACTORS, PRIOR_WIDTH, structure
 from benchmarks.coverage.intervals import calibrated, of_density
 from pymc_features.calibration.comparison import Comparison
 from pymc_features.calibration.coordinates import Coordinates
-from pymc_features.study.misfits import computed_sums
+from pymc_features.study.settings import computed_sums
 
 LARGEST = 10.0  # |ln theta| that is tried
 

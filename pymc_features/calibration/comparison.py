@@ -18,8 +18,8 @@ from pytensor.compile.mode import Mode
 from pytensor.graph.basic import Constant
 from pytensor.tensor.random.basic import NormalRV
 
-from pymc_features.distributions.correlated import CorrelatedNormalRV
-from pymc_features.distributions.feature import FeatureRV
+from pymc_features.likelihoods.correlated import CorrelatedNormalRV
+from pymc_features.likelihoods.mean_square import FeatureRV
 from pymc_features.ops import measured_samples, response_step
 
 MOST = 0.4  # share of the record in gaps of one sensor or another; of more the intervals become too narrow

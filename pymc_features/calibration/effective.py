@@ -12,10 +12,10 @@ from pymc_features.calibration.climb import climb_likelihood
 from pymc_features.calibration.fit import Event, Predictions
 from pymc_features.calibration.peaks import Peak, best_fit, starting_points
 from pymc_features.calibration.sandwich import directions, known, sandwich
-from pymc_features.distributions.checks import warn_about_variance
-from pymc_features.distributions.gamma import Filled, GammaFeatureRV
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import coordinate_names
+from pymc_features.likelihoods.declaration import warn_about_variance
+from pymc_features.likelihoods.mean_square import GammaFeatureRV, RequireDegrees
 
 SHORT = 5.0  # time constants of the errors that a record must be long
 BEYOND = 800.0  # unconstrained, so far out that the bound itself is what is meant
@@ -170,7 +170,7 @@ def degrees_of(model) -> dict:
     found = {}
     for rv in model.observed_RVs:
         m = rv.owner.inputs[-1] if isinstance(rv.owner.op, GammaFeatureRV) else None
-        if m is not None and m.owner is not None and isinstance(m.owner.op, Filled):
+        if m is not None and m.owner is not None and isinstance(m.owner.op, RequireDegrees):
             found[rv] = m.owner.inputs[0]
     if not found:
         names = ", ".join(rv.name for rv in model.observed_RVs) or "no likelihood"

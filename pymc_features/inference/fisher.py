@@ -12,9 +12,9 @@ from pytensor.graph.replace import graph_replace
 from pytensor.tensor.random.basic import NormalRV
 
 from pymc_features._checks import check_model
-from pymc_features.distributions.correlated import CorrelatedNormalRV
-from pymc_features.distributions.feature import FeatureRV
 from pymc_features.inference.parameters import check_continuous, entry_names, initial_values
+from pymc_features.likelihoods.correlated import CorrelatedNormalRV
+from pymc_features.likelihoods.mean_square import FeatureRV
 from pymc_features.ops import measured_samples
 from pymc_features.smc.density.compilation import with_mode
 

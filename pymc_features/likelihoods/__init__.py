@@ -1,21 +1,35 @@
-"""Ways to compare response and measurements. A new one is one file here and one entry below.
+"""Likelihoods of response histories, likelihood-free nodes, and the catalogue of both."""
 
-The study, `update` with its file and report, and the figures take everything they know of a likelihood from
-its entry: how it is declared, what it means, which parameters it takes, its colour and its exact posterior.
-"""
+from pymc_features.likelihoods import gaussian
+from pymc_features.likelihoods.abc import KERNELS, DiscrepancySimulator, abc_tolerance
+from pymc_features.likelihoods.catalogue import DIMS, LIKELIHOODS, Comparison, Likelihood
+from pymc_features.likelihoods.correlated import CorrelatedNormal
+from pymc_features.likelihoods.mean_square import (
+    ExpFeature,
+    GammaFeature,
+    TruncNormalFeature,
+    sigma_mpv,
+)
 
-from pymc_features.likelihoods.calibrated import CAL
-from pymc_features.likelihoods.correlated import CN, CN_SIGMA, CN_TAU
-from pymc_features.likelihoods.exponential import EXP
-from pymc_features.likelihoods.free import ABC
-from pymc_features.likelihoods.gamma import GAMMA
-from pymc_features.likelihoods.independent import NORM
-from pymc_features.likelihoods.likelihood import DIMS, Comparison, Likelihood
-from pymc_features.likelihoods.truncnormal import TN
+FEATURE_LIKELIHOODS = (TruncNormalFeature, ExpFeature, GammaFeature)
+HISTORY_LIKELIHOODS = (*FEATURE_LIKELIHOODS, CorrelatedNormal)  # one value for each sensor
+NODES = (DiscrepancySimulator,)
 
-#: By name. The place of a likelihood is part of its seed: new ones go to the end.
-LIKELIHOODS = {entry.name: entry for entry in (NORM, TN, EXP, ABC, CN, CN_SIGMA, CN_TAU, GAMMA, CAL)}
-#: Names of those that the study can judge by their exact posteriors.
-WITH_REFERENCE = tuple(name for name, entry in LIKELIHOODS.items() if entry.has_reference)
-
-__all__ = ["DIMS", "LIKELIHOODS", "WITH_REFERENCE", "Comparison", "Likelihood"]
+__all__ = [
+    "DIMS",
+    "FEATURE_LIKELIHOODS",
+    "HISTORY_LIKELIHOODS",
+    "KERNELS",
+    "LIKELIHOODS",
+    "NODES",
+    "Comparison",
+    "CorrelatedNormal",
+    "DiscrepancySimulator",
+    "ExpFeature",
+    "GammaFeature",
+    "Likelihood",
+    "TruncNormalFeature",
+    "abc_tolerance",
+    "gaussian",
+    "sigma_mpv",
+]

@@ -1,13 +1,12 @@
 """Identified modes as the likelihood takes them: checked, in one array without missing values."""
 
-import warnings
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown
-from pymc_features.distributions.checks import LIBRARIES
+from pymc_features._checks.messages import warn_caller
 from pymc_features.exceptions import ModalMatchWarning
 from pymc_features.ops import by_labels
 
@@ -183,12 +182,11 @@ def _numbers(owner):
     """A number for each mode; says which are taken for one that was found twice."""
     twice = [f"{i} and {first}" for i, first in enumerate(owner) if first != i]
     if twice:
-        warnings.warn(
+        warn_caller(
             f"the identified modes {', '.join(twice)} (0 the first) are taken for one that was found twice: "
             "their frequencies are closer than their standard deviations, and their shapes agree. Leave one "
             "out, or pass `labels` that differ if they are two.",
             ModalMatchWarning,
-            skip_file_prefixes=LIBRARIES,
         )
     return owner.tolist()
 

@@ -1,6 +1,5 @@
 """Which mode of the model each identified mode is matched with, and whether that is a partner."""
 
-import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from pytensor.graph.traversal import ancestors
 from pytensor.tensor import TensorVariable
 
 from pymc_features._checks import check_group, check_model, check_number, check_text, message, shown
-from pymc_features.distributions.checks import LIBRARIES
+from pymc_features._checks.messages import warn_caller
 from pymc_features.exceptions import ModalMatchWarning
 from pymc_features.modal_features.density import (
     ModalFeatureRV,
@@ -159,12 +158,11 @@ def warn_of_strangers(name, table, dims):
         one = table.sel(mode=label).median(dims) if dims else table.sel(mode=label)
         of_shape = "" if np.isnan(one["mac"]) else f", MAC {float(one['mac']):.2f}"
         where = f" in {float(share.sel(mode=label)):.0%} of the draws" if dims else ""
-        warnings.warn(
+        warn_caller(
             f"mode {label} of {name} has no partner in the model{where}: the best that is left is at "
             f"{float(one['frequency']):.4g} Hz, {float(one['deviation']):.1f} standard deviations off"
             f"{of_shape}. Ask `modes` for more, leave the mode out, or look at the order of the sensors.",
             ModalMatchWarning,
-            skip_file_prefixes=LIBRARIES,
         )
 
 
@@ -224,10 +222,9 @@ def warn_at_start(rv):
         listed = ", ".join(
             f"{labels[i]} (MAC {found.mac[i]:.2f} at {found.frequency[i]:.4g} Hz)" for i in strangers
         )
-        warnings.warn(
+        warn_caller(
             f"the shapes of these modes of {rv.name} have no partner at the model's initial point: {listed}. "
             "Ask `modes` for more modes, and look at the order of the sensors; `match_modes` tells of a "
             "posterior.",
             ModalMatchWarning,
-            skip_file_prefixes=LIBRARIES,
         )

@@ -1,10 +1,9 @@
 """The sampling-rate study, of the source's structure and of one that yields; exact posteriors to judge by."""
 
 from pymc_features.study import paper
-from pymc_features.study.outputs import write_outputs
+from pymc_features.study.results import as_csv, as_markdown, write_outputs, yielding
 from pymc_features.study.sampling_rate import sampling_rate_study
 from pymc_features.study.structures import STRUCTURES, StudyStructure, find_structure
-from pymc_features.study.table import as_csv, as_markdown, yielding
 
 __all__ = [
     "STRUCTURES",

@@ -16,15 +16,14 @@ from pymc_features.calibration import calibrate
 from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.inference import sample
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.likelihoods.free import exact_tolerance
 from pymc_features.records import Record
 from pymc_features.smc import SubsetSimulation, check_workers, open_workers, sample_smc
 from pymc_features.storage import PartStore, settings_in
 from pymc_features.study import paper
-from pymc_features.study.models import declare, set_measurements
-from pymc_features.study.settings import Study
+from pymc_features.study.exact import exact_tolerance
+from pymc_features.study.results import assemble
+from pymc_features.study.settings import Study, declare, set_measurements
 from pymc_features.study.structures import DEFAULT, StudyStructure
-from pymc_features.study.summary import assemble
 
 GROUPS = ("posterior", "sample_stats", "calibration")
 
@@ -71,8 +70,8 @@ def sampling_rate_study(
     record : Record
         Ground acceleration, taken as linear between its samples, as in the source.
     structure : {"linear", "bouc-wen"} or StudyStructure
-        The chain of the source, or the same with springs that yield (study/bouc_wen.py); with another nominal
-        stiffness of the springs, `study.find_structure("linear", stiffness=1000.0)`.
+        The chain of the source, or the same with springs that yield (study/structures.py); with another
+        nominal stiffness of the springs, `study.find_structure("linear", stiffness=1000.0)`.
     noise : float
         Standard deviation of the noise over the root mean square of each channel [-], positive.
     multipliers : sequence of float

@@ -1,24 +1,33 @@
-"""What determines the numbers of a study: settings, checked, and the measurements made with them."""
+"""What determines the numbers of a study: its settings, measurements, misfits and PyMC models.
 
-from collections.abc import Sequence
+Of the misfit between response and measurements at one sampling step, four sums over the sensors are all that
+the likelihoods need: of e_j, of the mean squared increments, and of the first and last square.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
+import pymc as pm
+import pytensor.tensor as pt
 import xarray as xr
+from scipy.interpolate import CubicSpline
 
 from pymc_features._checks import check_integer, check_positive, check_seed, check_texts, message, shown
-from pymc_features.likelihoods import LIKELIHOODS, WITH_REFERENCE
-from pymc_features.likelihoods.exact.step import Priors, Step
+from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison
+from pymc_features.ops import response
 from pymc_features.records import Record
-from pymc_features.simulators import simulate
+from pymc_features.simulators import FAMILIES, request, simulate
+from pymc_features.simulators.excitation import excitation_of
 from pymc_features.storage import fingerprint
 from pymc_features.structures import Structure
 from pymc_features.study import paper
-from pymc_features.study.misfits import SharedResponses, computed_sums
+from pymc_features.study.exact import WITH_REFERENCE, DiscrepancyCurve, Step
 from pymc_features.study.structures import DEFAULT, StudyStructure, find_structure
 
 WHITE = "Pass 0 for white noise."
+N_NODES = 601  # of theta, at which costly responses are computed
 WITHOUT_NOISE = "Without noise sigma runs to zero and no posterior exists; pass 0.05 for 5 %."
 
 
@@ -128,10 +137,8 @@ class Study:
                 sums = computed_sums(self.at, self.record, data.values, dt)
             else:
                 sums = self.shared.sums(multiplier)
-            known = paper.CORRELATION_TIME, self.scale
-            priors = Priors(paper.THETA_RANGE, paper.SIGMA_RANGE, paper.TAU_RANGE, *known)
-            response = partial(self.response, dt=dt)
-            self.steps[multiplier] = Step(sums, data, dt, priors, response, self.frequencies)
+            respond = partial(self.response, dt=dt)
+            self.steps[multiplier] = Step(sums, data, dt, self.scale, respond, self.frequencies)
         return self.steps[multiplier]
 
     def response(self, theta: float, dt: float) -> np.ndarray:
@@ -143,7 +150,7 @@ class Study:
         return self.at(theta).modes().natural_frequencies
 
     @cached_property
-    def shared(self) -> SharedResponses:
+    def shared(self) -> "SharedResponses":
         """Responses that serve all sampling steps, of a structure that must be integrated."""
         finest = self.multipliers[0]
         return SharedResponses(
@@ -170,3 +177,125 @@ def check_measurements(study: Study):
                 f"`multipliers` must leave at least 10 samples, got {multiplier:g} on a record of "
                 f"{study.record.duration:.4g} s. Use a longer record or smaller steps."
             )
+
+
+def computed_sums(at: Callable[[float], Structure], record, data, dt: float) -> Callable:
+    """The four sums (4,) as a function of theta at one sampling step, by the kernel of a structure's family.
+
+    `at` makes a structure of theta, `data` (s, u) are measurements [m/s^2] with the step `dt` [s].
+    """
+    data = np.ascontiguousarray(data)
+    asked = request(paper.N_STOREYS, record.dt, dt=dt)
+
+    def sums(theta):
+        structure = at(theta)
+        family = FAMILIES[structure.family]
+        excitation = excitation_of(structure.excitation(record), record, asked)
+        rows = family.rows(asked.sensors, structure.n_dof)
+        inputs = family.inputs_of(structure, record, excitation, rows, asked.n_modes)
+        arguments = family.assemble(inputs, asked.quantity_code)
+        squares, increments, first, last = family.kernels["misfit"](*arguments, data).T
+        return np.array([squares.sum(), increments.sum(), first @ first, last @ last])
+
+    return sums
+
+
+class SharedResponses:
+    """The four sums at all sampling steps from one response for each theta, where a response is costly.
+
+    The response at a coarser step is every n-th sample of that at the finest, so that one response serves all
+    steps: `respond(theta)` (s, u) [m/s^2], as `data` are; `strides` are the multiples of the finest step by
+    any keys. It is computed at nodes of theta that resolve the narrowest posterior and cover the prior, about
+    a thousand; between them the sums are cubic splines, right to 1e-6 where the posteriors are
+    (tests/study/test_study_bouc_wen.py). No response is kept.
+    """
+
+    def __init__(self, respond: Callable, data: np.ndarray, strides: dict[float, int]):
+        self.respond, self.data, self.strides = respond, data, strides
+        self._known: dict[float, np.ndarray] = {}
+
+    def at(self, theta: float) -> np.ndarray:
+        """The four sums at each sampling step (step, 4), without splines."""
+        if theta not in self._known:
+            misfit = self.data - self.respond(theta)
+            self._known[theta] = np.array([sums_of(misfit[:, ::n]) for n in self.strides.values()])
+        return self._known[theta]
+
+    @cached_property
+    def curve(self) -> DiscrepancyCurve:
+        """S(theta) at the finest step: its nodes are those of the splines."""
+        finest = list(self.strides.values()).index(1)
+        return DiscrepancyCurve(
+            lambda theta: float(self.at(theta)[finest, 0]), paper.THETA_RANGE, self.data.size, N_NODES
+        )
+
+    @cached_property
+    def splines(self) -> CubicSpline:
+        """The sums (step, 4) by the grid variable of `curve`."""
+        return CubicSpline(self.curve.u, np.array([self.at(theta) for theta in self.curve.theta]))
+
+    def sums(self, multiplier: float) -> Callable:
+        """theta -> array (4,) at one sampling step."""
+        row = list(self.strides).index(multiplier)
+        return lambda theta: self.splines(self.curve.grid_variable(theta))[row]
+
+
+def sums_of(misfit: np.ndarray) -> np.ndarray:
+    """The four sums (4,) of a misfit (s, u)."""
+    squares, increments = ((x**2).sum() / misfit.shape[1] for x in (misfit, np.diff(misfit, axis=1)))
+    return np.array([squares, increments, (misfit[:, 0] ** 2).sum(), (misfit[:, -1] ** 2).sum()])
+
+
+def declare(
+    kind: str,
+    record: Record,
+    data: xr.DataArray,
+    *,
+    structure: Callable[[pt.TensorVariable], Structure] = paper.chain,
+    tolerance: float | None = None,
+    scale: float | None = None,
+) -> pm.Model:
+    """Return the model of one structure, ``theta -> structure``, under one of the `LIKELIHOODS`.
+
+    It has `theta`, `sigma` and `tau` where they are inferred, and `y`: floor accelerations (sensor, time)
+    [m/s^2]. ABC has the `tolerance` delta [m^2/s^4], and CN knows the `scale` of the noise [m/s^2].
+    Measurements, their step and the tolerance are data of the model: `set_measurements` changes them without
+    compiling anything anew.
+    """
+    likelihood, times = LIKELIHOODS[kind], data["time"].values
+    coords = {"sensor": data["sensor"].values, "time": times}
+    with pm.Model(coords=coords) as model:
+        theta = pm.Uniform("theta", *paper.THETA_RANGE)
+        step = pm.Data("step", times[1] - times[0])
+        measured = pm.Data("measured", data.values, dims=DIMS)
+        delta = None if tolerance is None else pm.Data("tolerance", tolerance)
+        mu = response(structure(theta), record, dt=step)
+        tau, sigma = correlation_time(likelihood), noise_scale(likelihood, scale)
+        likelihood.declare(Comparison(mu, measured, sigma, tau, epsilon=delta, dt=step))
+    return model
+
+
+def noise_scale(likelihood, scale):
+    """sigma [m/s^2]: `scale` where it is known, else a variable."""
+    if "sigma" not in likelihood.takes:
+        return None
+    known = "sigma" in likelihood.known
+    return pt.as_tensor_variable(scale) if known else pm.Uniform("sigma", *paper.SIGMA_RANGE)
+
+
+def correlation_time(likelihood):
+    """tau [s]: that of the noise where it is known, else a variable."""
+    if "correlation_time" not in likelihood.takes:
+        return None
+    if "correlation_time" in likelihood.known:
+        return pt.as_tensor_variable(paper.CORRELATION_TIME)
+    return pm.Deterministic("tau", pt.exp(pm.Uniform("log_tau", *np.log(paper.TAU_RANGE))))
+
+
+def set_measurements(model: pm.Model, data: xr.DataArray, tolerance: float | None = None):
+    """Give a model of `declare` other measurements, at another step."""
+    times = data["time"].values
+    with model:
+        pm.set_data({"measured": data.values, "step": times[1] - times[0]}, coords={"time": times})
+        if tolerance is not None:
+            pm.set_data({"tolerance": tolerance})

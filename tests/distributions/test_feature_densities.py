@@ -9,7 +9,7 @@ from pymc.logprob.utils import ParameterValueError
 from scipy import special, stats
 
 from pymc_features import ExpFeature, GammaFeature, TruncNormalFeature, mean_square_discrepancy
-from pymc_features.distributions import FEATURE_LIKELIHOODS
+from pymc_features.likelihoods import FEATURE_LIKELIHOODS
 from support.graphs import LIGHT, PLAIN
 from support.likelihoods import EVERY, EVERY_FEATURE, OTHER, RMS_LAW, declare, equation, evaluate, random_data
 

@@ -24,8 +24,8 @@ from pymc_features import (
     sigma_mpv,
     simulate,
 )
-from pymc_features.distributions import FEATURE_LIKELIHOODS, LIKELIHOODS
 from pymc_features.exceptions import FeatureLikelihoodWarning
+from pymc_features.likelihoods import FEATURE_LIKELIHOODS, HISTORY_LIKELIHOODS
 from support.graphs import LIGHT
 from support.likelihoods import EVERY, EVERY_FEATURE, OTHER, RMS_LAW, declare, equation, evaluate, random_data
 from support.structures import noise_record, with_first_spring, with_noise
@@ -54,7 +54,7 @@ def build_model(likelihood, pulse, observed, *, sigma=None, theta=None, determin
     return model
 
 
-@pytest.fixture(scope="module", params=LIKELIHOODS)
+@pytest.fixture(scope="module", params=HISTORY_LIKELIHOODS)
 def updated(request, pulse, measured):
     """(likelihood, model with dims, four particles of a posterior)."""
     model = build_model(request.param, pulse, measured, dims=("sensor", "time"))

@@ -37,7 +37,7 @@ def test_recipes_can_be_followed(tmp_path):
     page = ROOT / "docs" / "extend.md"
     shutil.copytree(ROOT / "pymc_features", tmp_path / "pymc_features")
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    assert len(follow(page, tmp_path)) == 8
+    assert len(follow(page, tmp_path)) == 7
     uses = f"import pymc_features; assert pymc_features.__file__.startswith({str(tmp_path)!r})\n"
     run(
         *(sys.executable, "-c", uses + script(page, "python use")),

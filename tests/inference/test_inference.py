@@ -15,9 +15,9 @@ from scipy import stats
 import pymc_features as pmf
 from pymc_features import likelihoods as catalogue
 from pymc_features.inference import parameters
-from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, exact_posterior
 from pymc_features.study import paper
-from pymc_features.study.models import declare
+from pymc_features.study.exact import DiscrepancyCurve, exact_posterior
+from pymc_features.study.settings import declare
 from support import straight
 from support.sampling import log_add
 

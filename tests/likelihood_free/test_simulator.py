@@ -24,7 +24,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.exceptions import NotDifferentiableError
-from pymc_features.likelihood_free import KERNELS
+from pymc_features.likelihoods import KERNELS
 from pymc_features.smc import population_logp
 from support.graphs import LIGHT
 from support.refusals import refusals

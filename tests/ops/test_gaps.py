@@ -27,8 +27,8 @@ from pymc_features import (
     response,
     simulate,
 )
-from pymc_features.likelihood_free.functions import NoisySimulator
 from pymc_features.likelihoods import LIKELIHOODS, Comparison
+from pymc_features.likelihoods.simulator_functions import NoisySimulator
 from pymc_features.smc import population_logp
 from support.external_functions import DATA, SHAPE, beam, beam_gradient, beam_squares
 from support.families import CASES, measured

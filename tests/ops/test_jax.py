@@ -15,8 +15,8 @@ from pytensor.graph.replace import vectorize_graph
 import pymc_features as pmf
 from pymc_features import paper, response, simulate
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.likelihoods.exact import quadrature
 from pymc_features.ops import misfit_statistics
+from pymc_features.study import exact as quadrature
 from support.commands import run_python
 from support.families import CASES, CYCLIC, TRUTH, measured
 from support.graphs import PLAIN

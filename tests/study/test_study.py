@@ -15,12 +15,12 @@ from scipy import integrate, stats
 from pymc_features import abc_tolerance, cli, sampling_rate_study
 from pymc_features.exceptions import StudyMismatchError
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, exact_posterior, tolerance_interval
 from pymc_features.simulators import simulate
 from pymc_features.smc.results import pad_stages, savable
 from pymc_features.storage import PartStore
 from pymc_features.study import STRUCTURES, as_csv, as_markdown, paper
 from pymc_features.study import sampling_rate as study_module
+from pymc_features.study.exact import DiscrepancyCurve, exact_posterior, tolerance_interval
 from pymc_features.study.settings import Study
 from pymc_features.study.structures import find_structure
 from support.straight import Record

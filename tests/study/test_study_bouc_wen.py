@@ -10,11 +10,11 @@ import xarray as xr
 from pymc_features import cli, sampling_rate_study, simulate
 from pymc_features.cli import make_parser
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.study import STRUCTURES, as_markdown, bouc_wen, find_structure, paper, yielding
-from pymc_features.study.misfits import computed_sums
+from pymc_features.study import STRUCTURES, as_markdown, find_structure, paper, yielding
+from pymc_features.study.exact import reference
 from pymc_features.study.sampling_rate import SamplingOptions
-from pymc_features.study.settings import Study
-from pymc_features.study.structures import DEFAULT
+from pymc_features.study.settings import Study, computed_sums
+from pymc_features.study.structures import DEFAULT, YIELD_DISPLACEMENT, bouc_wen_chain
 from support.straight import Record
 
 pytestmark = pytest.mark.slow
@@ -54,15 +54,15 @@ def test_names_of_structures():
 
 def test_yielding_is_as_stated(record):
     """Ductility from 2 to 5 in several storeys; the drifts stated for El Centro, here by differences."""
-    positions = simulate(bouc_wen.chain(), record, quantity="relative_displacement").values
+    positions = simulate(bouc_wen_chain(), record, quantity="relative_displacement").values
     drifts = np.abs(np.diff(positions, axis=0, prepend=0.0)).max(axis=1)
-    ductility = drifts / bouc_wen.YIELD_DISPLACEMENT
+    ductility = drifts / YIELD_DISPLACEMENT
     assert ((ductility > 2.0) & (ductility < 5.0)).sum() >= 4
     if record.name.startswith("El Centro"):
         np.testing.assert_allclose(ductility[:7], [4.2, 3.6, 3.0, 3.1, 2.9, 2.1, 1.4], atol=0.05)
         assert (ductility[7:] < 1.0).all()
         linear = simulate(paper.chain(), record, quantity="relative_displacement", sensors=[0])
-        assert np.abs(linear.values).max() / bouc_wen.YIELD_DISPLACEMENT == pytest.approx(5.8, abs=0.05)
+        assert np.abs(linear.values).max() / YIELD_DISPLACEMENT == pytest.approx(5.8, abs=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -110,9 +110,7 @@ def test_kernel_of_the_family_gives_the_same_sums(study):
 def test_uncertainty_does_not_depend_on_the_sampling_rate(study):
     """As of the linear chain: half the step or five times it; NORM is the control."""
     width = {
-        kind: np.array(
-            [np.ptp(LIKELIHOODS[kind].reference(study.misfit(m)).statistics[0, 1:]) for m in (0.5, 1.0, 5.0)]
-        )
+        kind: np.array([np.ptp(reference(kind, study.misfit(m)).statistics[0, 1:]) for m in (0.5, 1.0, 5.0)])
         for kind in KINDS
     }
     for kind in ("TN", "EXP", "ABC"):
@@ -185,12 +183,12 @@ def test_sampled_quantiles_are_the_exact_ones(result):
 def test_loops_are_those_of_the_response(short, result):
     """Drift by differences of the displacements, force by the balance of the top masses."""
     loops = result["loops"].to_dataset()
-    positions = simulate(bouc_wen.chain(), short, quantity="relative_displacement").values
+    positions = simulate(bouc_wen_chain(), short, quantity="relative_displacement").values
     np.testing.assert_allclose(loops["drift"], np.diff(positions, axis=0, prepend=0.0), atol=1e-12)
     np.testing.assert_allclose(loops["ductility"], abs(loops["drift"]).max("time") / 0.005)
-    acceleration = simulate(bouc_wen.chain(), short).values
-    velocity = simulate(bouc_wen.chain(), short, quantity="relative_velocity").values
-    _, damping, _ = bouc_wen.chain().matrices()
+    acceleration = simulate(bouc_wen_chain(), short).values
+    velocity = simulate(bouc_wen_chain(), short, quantity="relative_velocity").values
+    _, damping, _ = bouc_wen_chain().matrices()
     inertia = (acceleration + damping @ velocity)[::-1].cumsum(axis=0)[::-1]  # all masses are 1 kg
     np.testing.assert_allclose(loops["force"], -inertia, atol=1e-6 * np.abs(inertia).max())
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from pymc_features import sampling_rate_study
-from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.likelihoods.exact.quadrature import DiscrepancyCurve, Exponents, Stretch, exact_posterior
 from pymc_features.study import sampling_rate as study_module
+from pymc_features.study.exact import DiscrepancyCurve, Exponents, Stretch, exact_posterior, reference
 from pymc_features.study.settings import Study
 from support.straight import Record
 
@@ -18,7 +17,7 @@ STEPS = (0.2, 1.0)  # over that of the record
 def widths(record, kind, seed=0, **settings):
     """Exact 5-95 % width of theta at two sampling steps."""
     study = Study(record, random_seed=seed, multipliers=STEPS, **settings)
-    rows = [LIKELIHOODS[kind].reference(study.misfit(m)).statistics[0] for m in STEPS]
+    rows = [reference(kind, study.misfit(m)).statistics[0] for m in STEPS]
     return np.array([row[3] - row[1] for row in rows])
 
 

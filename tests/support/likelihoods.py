@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.special import gammaln
 
 from pymc_features import CorrelatedNormal, ExpFeature, GammaFeature, TruncNormalFeature
-from pymc_features.distributions import FEATURE_LIKELIHOODS, LIKELIHOODS
+from pymc_features.likelihoods import FEATURE_LIKELIHOODS, HISTORY_LIKELIHOODS
 from support.graphs import PLAIN
 
 # the law of sqrt(e), of e / sigma^2 = chi-square (degrees), and the paper's log-density written out
@@ -20,7 +20,7 @@ RMS_LAW = {TruncNormalFeature: stats.halfnorm, ExpFeature: stats.rayleigh, Gamma
 OTHER = {TruncNormalFeature: ExpFeature, ExpFeature: TruncNormalFeature, GammaFeature: ExpFeature}
 # arguments besides mu and sigma
 MORE = {CorrelatedNormal: {"correlation_time": 0.1, "dt": 0.04}, GammaFeature: {"m": 3.0}}
-EVERY = pytest.mark.parametrize("likelihood", LIKELIHOODS)
+EVERY = pytest.mark.parametrize("likelihood", HISTORY_LIKELIHOODS)
 EVERY_FEATURE = pytest.mark.parametrize("likelihood", FEATURE_LIKELIHOODS)
 
 

@@ -10,8 +10,7 @@ import xarray as xr
 
 from pymc_features import plots
 from pymc_features.exceptions import ConfigError
-from pymc_features.likelihood_free import abc_tolerance
-from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison
+from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison, abc_tolerance
 from pymc_features.ops import response
 from pymc_features.ops.excitation import request_in_model
 from pymc_features.prediction import posterior_response

@@ -13,7 +13,8 @@ import pytensor.tensor as pt
 import pytest
 
 import pymc_features as pmf
-from pymc_features.distributions import feature, gaussian
+from pymc_features.likelihoods import gaussian
+from pymc_features.likelihoods import mean_square as feature
 from support.hooks.checks import INTERPRETED, attributes_read, check
 
 

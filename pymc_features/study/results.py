@@ -1,17 +1,115 @@
-"""What the study says: sampled quantiles beside the exact ones, and in words what they mean."""
+"""The study's result: sampled and exact statistics side by side, what they mean, tables and files."""
 
 import csv
 import io
 from itertools import product
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
+from pymc_features import plots
 from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features.simulators import spring_forces
+from pymc_features.storage import netcdf_bytes, write_atomically
+from pymc_features.study.exact import (
+    PARAMETERS,
+    PROBABILITIES,
+    STATISTICS,
+    exact_interval,
+    exact_tolerance,
+    reference,
+)
 
 # a fine step shortens an interval, or lengthens it, by this exponent of the step where it matters at all
 NO_TREND = 0.05
+BOTH = ["theta", "sigma"]
+FIGURES = {  # likelihoods and parameters; those with all their likelihoods in the study are drawn
+    "fig2_theta.png": (["TN", "NORM"], ["theta"]),
+    "fig3_sigma.png": (["TN", "NORM"], ["sigma"]),
+    "fig4_exp_norm_abc.png": (["EXP", "NORM", "ABC"], BOTH),
+    "fig5_correlated.png": (["NORM", "CN", "CN-SIGMA", "CN-TAU"], BOTH),
+}
+
+
+def assemble(study, parts: dict, shown) -> xr.DataTree:
+    """Put the sampled parts and the exact posteriors side by side; see `sampling_rate_study`.
+
+    `shown` is called with what is in work and the number of parts that are finished.
+    """
+    cells, tolerances, intervals = {}, [], []
+    for j, multiplier in enumerate(study.multipliers):
+        shown(f"exact_x{multiplier:g}", len(parts) + j)
+        step, has_abc = study.misfit(multiplier), "ABC" in study.likelihoods
+        tolerances.append(exact_tolerance(step) if has_abc else np.nan)
+        intervals.append(exact_interval(step) if has_abc else (np.nan, np.nan))
+        for kind in study.likelihoods:
+            cells[kind, multiplier] = cell(reference(kind, step), parts[kind, multiplier])
+    dims = ("likelihood", "multiplier", "parameter", "statistic")
+    table = {}
+    for name in cells[kind, multiplier]:
+        rows = [[cells[kind, m][name] for m in study.multipliers] for kind in study.likelihoods]
+        table[name] = (dims[: np.ndim(rows)], np.array(rows))
+    table["epsilon"] = ("multiplier", tolerances)
+    table["epsilon_interval"] = (("multiplier", "end"), intervals)
+    table["step"] = ("multiplier", np.array(study.multipliers) * study.record.dt, {"units": "s"})
+    labels = list(study.likelihoods), list(study.multipliers), list(PARAMETERS), list(STATISTICS)
+    coords = dict(zip(dims, labels, strict=True)) | {"end": ["low", "high"]}
+    groups = {"/summary": xr.Dataset(table, coords), "/data": data_of(study)}
+    if not study.at().is_linear:
+        groups["/loops"] = loops_of(study)
+    tree = xr.DataTree.from_dict(groups)
+    for (kind, multiplier), part in parts.items():
+        tree[f"/{kind}/x{multiplier:g}"] = part
+    tree.attrs = {key: value for key, value in study.settings().items() if not isinstance(value, list)}
+    tree.attrs |= {"structure": study.structure.name, "title": study.title}
+    return tree
+
+
+def data_of(study) -> xr.Dataset:
+    """The record, and the finest measurements."""
+    record = study.record
+    return xr.Dataset(
+        {
+            "ground_acceleration": ("record_time", record.acceleration, {"units": "m/s^2"}),
+            "measured": study.finest.drop_attrs(),
+        },
+        coords={"record_time": ("record_time", record.time, {"units": "s"})},
+        attrs={"record": record.name},
+    )
+
+
+def loops_of(study) -> xr.Dataset:
+    """Force and drift of every spring at the true theta, and the largest drift over that of yielding."""
+    structure = study.at()
+    loops = spring_forces(structure, study.record)[["force", "drift"]]
+    limit = np.broadcast_to(structure.yield_displacement, structure.n_dof)
+    loops["yield_displacement"] = ("spring", limit, {"units": "m"})
+    loops["ductility"] = abs(loops["drift"]).max("time") / loops["yield_displacement"]
+    return loops
+
+
+def cell(reference, part) -> dict:
+    """What is said of one likelihood at one sampling step; NaN of parameters that it does not infer.
+
+    The maximum of the draws is the draw of the highest density. There is no R-hat of one chain.
+    """
+    import arviz as az  # here: half a second that a mere import of the package need not take
+
+    posterior = part["posterior"].to_dataset()
+    draws = {name: posterior[name].values.ravel() for name in PARAMETERS if name in posterior}
+    best = reference.log_density(draws).argmax()
+    sampled = np.full((len(PARAMETERS), len(STATISTICS)), np.nan)
+    r_hat, ess = np.full(len(PARAMETERS), np.nan), np.full(len(PARAMETERS), np.nan)
+    for name, values in draws.items():
+        k = PARAMETERS.index(name)
+        sampled[k] = [values[best], *np.quantile(values, PROBABILITIES)]
+        if posterior.sizes["chain"] > 1:
+            r_hat[k] = float(az.rhat(posterior[[name]])[name])
+        ess[k] = float(az.ess(posterior[[name]], method="bulk")[name])
+    of_part = {"seconds": part.attrs["seconds"], "log_evidence": reference.log_evidence}
+    return {"sampled": sampled, "exact": reference.statistics, "r_hat": r_hat, "ess_bulk": ess, **of_part}
 
 
 class Table(NamedTuple):
@@ -154,3 +252,27 @@ def yielding(result: xr.DataTree) -> str:
         f"{n} of {len(ductility)} springs drift beyond their yield displacement, "
         f"at most {ductility[most]:.2g} times as far (spring {most})"
     )
+
+
+def write_outputs(result, folder: Path) -> list[Path]:
+    """Write figures, tables and the result into `folder`; return their paths."""
+
+    def save(axes):
+        return lambda path: axes[0].figure.savefig(path, dpi=150, format="png")
+
+    figures = {"fig1_record.png": plots.plot_record(result)}
+    known = set(result["summary"]["likelihood"].values)
+    for name, (likelihoods, parameters) in FIGURES.items():
+        if known.issuperset(likelihoods):
+            figures[name] = plots.plot_sampling_rate(result, likelihoods, parameters=parameters)
+    figures["fig6_widths.png"] = plots.plot_widths(result)
+    if "loops" in result.children:
+        figures["fig7_loops.png"] = plots.plot_loops(result)
+    writers = {name: save(axes) for name, axes in figures.items()}
+    writers["table.md"] = lambda path: path.write_text(as_markdown(result))
+    writers["table.csv"] = lambda path: path.write_text(as_csv(result))
+    writers["study.nc"] = lambda path: path.write_bytes(netcdf_bytes(result))
+    for name, write in writers.items():
+        write_atomically(folder / name, write)
+    plots.close(axes[0] for axes in figures.values())
+    return [folder / name for name in writers]

@@ -1,7 +1,4 @@
-"""Checks and warnings of the likelihoods, made once where the model is declared."""
-
-import warnings
-from pathlib import Path
+"""Arguments of the likelihoods of histories, checked where the model is declared; warnings of posteriors."""
 
 import numpy as np
 import pymc as pm
@@ -17,16 +14,22 @@ from pytensor.graph.traversal import ancestors
 from pytensor.tensor.random.op import RandomVariable
 
 from pymc_features._checks import as_numbers, masked_as_nan, message
+from pymc_features._checks.messages import warn_caller
 from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.ops import as_tensor, by_labels, check_shape, mean_square_discrepancy, response_step
 
 LARGE_CONSTANT = 10**6  # bytes; beyond it Numba cannot keep a compiled graph on disk
-LIBRARIES = (str(Path(__file__).parents[1]), str(Path(pm.__file__).parent))  # not the user's lines
 NOISE_FREE = 1e-12  # misfit over mean square of the data
 COMPLETE = (
     "Cut the record to its complete part, or leave out the sensor; gaps are left out by TruncNormalFeature, "
     "ExpFeature and GammaFeature."
 )
+ADVICE = {  # on parameters, which are positive: one number or one for each sensor
+    "sigma": "Pass the root-mean-square discrepancy expected at the truth, in the units of the data.",
+    "correlation_time": "Pass the time in seconds after which the correlation is 1/e.",
+    "m": "Pass how many independent observations a sensor's misfit is worth: 1 is TN, 2 is EXP.",
+    "dt": "Pass the sampling interval in seconds.",
+}
 
 
 def as_response(mu):
@@ -39,16 +42,15 @@ def as_response(mu):
     return mu
 
 
-def check_sigma(sigma, mu):
-    """Return sigma as a tensor; refuse numbers that are not positive or do not fit the sensors."""
-    advice = "Pass the root-mean-square discrepancy expected at the truth, in the units of the data."
-    return _check_sensors("sigma", _check_positive("sigma", sigma, advice), mu)
-
-
-def check_correlation_time(correlation_time, mu):
-    """Refuse a correlation time of the errors that is none."""
-    name, advice = "correlation_time", "Pass the time in seconds after which the correlation is 1/e."
-    return _check_sensors(name, _check_positive(name, correlation_time, advice), mu)
+def check_parameter(name, value, mu):
+    """Return a parameter of `ADVICE` as a tensor; refuse numbers not positive or not one for each sensor."""
+    tensor = _check_positive(name, value)
+    sensors = mu.type.shape[-2] if mu.ndim > 1 else None
+    n_values = tensor.type.shape[-1] if tensor.ndim else None
+    if None not in (sensors, n_values) and n_values not in (1, sensors):
+        expected = f"a scalar or have one value for each of the {sensors} sensors"
+        raise ValueError(message(name, expected, n_values))
+    return tensor
 
 
 def check_dt(dt, mu):
@@ -59,7 +61,7 @@ def check_dt(dt, mu):
             "`dt` must be given where `mu` is not a response of fixed output step, got None. Pass the "
             "sampling interval in seconds."
         )
-    tensor = _check_positive("dt", step if dt is None else dt, "Pass the sampling interval in seconds.")
+    tensor = _check_positive("dt", step if dt is None else dt)
     if tensor.ndim:
         raise ValueError(
             f"`dt` must be one number, got {tensor.ndim} dimensions. Pass the sampling interval."
@@ -72,27 +74,15 @@ def check_dt(dt, mu):
     return tensor
 
 
-def _check_positive(name, value, advice):
+def _check_positive(name, value):
     """Return a tensor; refuse numbers that are not positive and finite."""
-    tensor = as_tensor(value, name, advice)
+    tensor = as_tensor(value, name, ADVICE[name])
     if 0 in tensor.type.shape:
-        raise ValueError(message(name, "one number or several", "none", advice))
+        raise ValueError(message(name, "one number or several", "none", ADVICE[name]))
     if isinstance(tensor, Constant):
-        values = np.atleast_1d(tensor.data)
+        values = np.asarray(tensor.data)
         if not (np.isfinite(values) & (values > 0)).all():
-            raise ValueError(
-                f"`{name}` must be positive and finite, got {np.asarray(tensor.data).tolist()}. {advice}"
-            )
-    return tensor
-
-
-def _check_sensors(name, tensor, mu):
-    """Return the tensor; refuse another length than the number of sensors."""
-    sensors = mu.type.shape[-2] if mu.ndim > 1 else None
-    given = tensor.type.shape[-1] if tensor.ndim else None
-    if None not in (sensors, given) and given not in (1, sensors):
-        wanted = f"a scalar or have one value for each of the {sensors} sensors"
-        raise ValueError(message(name, wanted, given))
+            raise ValueError(message(name, "positive and finite", values.tolist(), ADVICE[name]))
     return tensor
 
 
@@ -103,24 +93,24 @@ def prepare_observed(mu, observed, name, dims=None, *, gaps=False):
     in an array PyMC would impute silently, as free variables.
     """
     mu, observed = as_response(mu), by_labels(observed, dims)
-    if isinstance(observed, Variable):
+    is_graph = isinstance(observed, Variable)
+    if is_graph:
         as_tensor(observed, "observed")
         _check_dimensions(mu, shape_of(observed))
         _check_is_data(observed)
-        _check_values(_values(observed), gaps)
-        check_shape(mu.type.shape, shape_of(observed))
-        return observed
-    if np.ma.isMaskedArray(observed) and np.ma.getmaskarray(observed).any():
-        if not gaps:
-            raise ValueError(f"`observed` must have no missing values, got a masked array. {COMPLETE}")
-        observed = masked_as_nan(observed)
-    values = np.array(as_numbers(observed, "observed"))
-    _check_dimensions(mu, values.shape)
+        values = _values(observed)
+    else:
+        if np.ma.isMaskedArray(observed) and np.ma.getmaskarray(observed).any():
+            if not gaps:
+                raise ValueError(f"`observed` must have no missing values, got a masked array. {COMPLETE}")
+            observed = masked_as_nan(observed)
+        observed = values = np.array(as_numbers(observed, "observed"))
+        _check_dimensions(mu, values.shape)
     _check_values(values, gaps)
-    check_shape(mu.type.shape, values.shape)
-    if values.nbytes > LARGE_CONSTANT or np.isnan(values).any():
+    check_shape(mu.type.shape, shape_of(observed))
+    if not is_graph and (values.nbytes > LARGE_CONSTANT or np.isnan(values).any()):
         return pytensor.shared(values, name=f"{name}_data", shape=values.shape)
-    return values
+    return observed
 
 
 def check_one_set(mu, **parameters):
@@ -129,14 +119,14 @@ def check_one_set(mu, **parameters):
     for name, value in parameters.items():
         ndim = as_tensor(value, name).ndim
         if ndim > mu.ndim - 1:
-            wanted = "a scalar or have one value for each sensor of `observed`"
-            raise ValueError(message(name, wanted, f"{ndim} dimensions"))
+            expected = "a scalar or have one value for each sensor of `observed`"
+            raise ValueError(message(name, expected, f"{ndim} dimensions"))
 
 
 def _check_dimensions(mu, shape):
     if len(shape) != mu.ndim:
-        wanted = f"have {mu.ndim} dimensions (..., sensor, time) to match `mu`"
-        raise ValueError(f"`observed` must {wanted}, got shape {shape}.")
+        expected = f"have {mu.ndim} dimensions (..., sensor, time) to match `mu`"
+        raise ValueError(f"`observed` must {expected}, got shape {shape}.")
 
 
 def _check_is_data(variable):
@@ -156,10 +146,8 @@ def _check_values(values, gaps):
     if wrong.any():
         position = tuple(int(i[0]) for i in np.nonzero(wrong))
         advice = "Pass NaN where nothing was measured." if gaps else COMPLETE
-        raise ValueError(
-            f"`observed` must be finite, got {values[position]} at index {position} of (sensor, time). "
-            f"{advice}"
-        )
+        got = f"{values[position]} at index {position} of (sensor, time)"
+        raise ValueError(message("observed", "finite", got, advice))
     silent = np.argwhere(np.isnan(values).all(axis=-1)) if values.ndim else []
     if len(silent):
         raise ValueError(
@@ -175,20 +163,10 @@ def _values(variable):
     return np.asarray(variable.data) if isinstance(variable, Constant) else None
 
 
-def shape_of(variable):
-    """Shape of a variable, as far as it is known; of data all of it."""
-    values = _values(variable)
-    return variable.type.shape if values is None else values.shape
-
-
-def check_degrees_of_freedom(m, mu):
-    """Return m as a tensor; refuse numbers that are not positive or do not fit the sensors."""
-    advice = "Pass how many independent observations a sensor's misfit is worth: 1 is TN, 2 is EXP."
-    if isinstance(m, str):
-        if m == "residuals":
-            advice = "Only a likelihood of a model, GammaFeature(name, ...), can take them from residuals."
-        raise ValueError(f"`m` must be positive numbers or, in a model, 'residuals', got {m!r}. {advice}")
-    return _check_sensors("m", _check_positive("m", m, advice), mu)
+def shape_of(data):
+    """Shape of an array or a variable, as far as it is known."""
+    values = _values(data) if isinstance(data, Variable) else data
+    return data.type.shape if values is None else values.shape
 
 
 def warn_about_the_posterior(likelihood, m, mu, sigma, observed):
@@ -230,12 +208,10 @@ def warn_about_variance(likelihood, m, sigma):
         if tail <= 0
         else "have a posterior without a finite variance but the prior's"
     )
-    warnings.warn(
-        f"{n_sensors} sensor{'s' if n_sensors > 1 else ''} with {shared} {consequence} under "
-        f"{likelihood}. Add sensors, share sigma among them, fix sigma, or "
-        "give it an informative prior.",
+    warn_caller(
+        f"{n_sensors} sensor{'s' if n_sensors > 1 else ''} with {shared} {consequence} under {likelihood}. "
+        "Add sensors, share sigma among them, fix sigma, or give it an informative prior.",
         FeatureLikelihoodWarning,
-        skip_file_prefixes=LIBRARIES,
     )
 
 
@@ -260,10 +236,9 @@ def _warn_about_noise(mu, observed):
     except Exception:  # a courtesy: whatever cannot be evaluated here is no error of the user's
         return
     if (power > 0).any() and (misfit[power > 0] <= NOISE_FREE * power[power > 0]).all():
-        warnings.warn(
+        warn_caller(
             "`observed` equals the response at the model's initial point: the data have no noise. The "
             "discrepancy can vanish, and the posterior of sigma then runs to zero and that of the "
             "parameters to a point. Add the measurement noise, or fix sigma.",
             FeatureLikelihoodWarning,
-            skip_file_prefixes=LIBRARIES,
         )

@@ -1,4 +1,9 @@
-"""Likelihood-free updating: a `pm.Simulator` node with the distance of Eq. (15)."""
+"""Likelihood-free updating: a `pm.Simulator` node with the distance of Eq. (15), its kernels and tolerance.
+
+Kernels are log-densities of the mean squares e (sensor,) of a simulation under a tolerance epsilon. They
+depend on rho = sum_j e_j, or with one tolerance for each sensor on sum_j e_j / epsilon_j in the place of
+rho / epsilon.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -6,6 +11,7 @@ import numpy as np
 import pymc as pm
 import pytensor
 import pytensor.tensor as pt
+import xarray as xr
 from numpy.typing import ArrayLike
 from pymc.distributions.distribution import SymbolicRandomVariable
 from pymc.logprob.abstract import _logprob
@@ -16,31 +22,113 @@ from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.random.op import RandomVariable
 
-from pymc_features._checks import as_numbers, check_choice, check_name, masked_as_nan, shown
-from pymc_features.likelihood_free.functions import (
+from pymc_features._checks import (
+    as_numbers,
+    check_choice,
+    check_integer,
+    check_name,
+    masked_as_nan,
+    shown,
+)
+from pymc_features.likelihoods.simulator_functions import (
+    ADVICE,
     FunctionSimulator,
+    ModesSimulator,
     NoisySimulator,
     ResponseSimulator,
+    node_of,
     number,
 )
-from pymc_features.likelihood_free.kernels import KERNELS, Distance
-from pymc_features.likelihood_free.modal import ModesSimulator, node_of
 from pymc_features.modal_features import SymbolicModes
 from pymc_features.modal_features.feature import add_coordinates
 from pymc_features.modal_features.identified import identified
 from pymc_features.ops import (
+    NoGradient,
     as_tensor,
     by_labels,
     check_dims,
     check_shape,
+    mean_square_discrepancy,
     name_the_time_axis,
     response_node,
 )
 
+QUANTILE = 0.9  # of sigma under EXP, from which the tolerance follows
 ADVICE_ON_EPSILON = (
     "Pass a tolerance on the sum of mean squares, for example `abc_tolerance(sigma, n_sensors)`."
 )
 ADVICE_ON_NOISE = "Pass a standard deviation in the units of the data."
+INSIDE, OUTSIDE = (pt.constant(value, dtype="float64") for value in (0.0, -np.inf))
+
+
+def uniform_kernel(epsilon, e):
+    """Accept where rho <= epsilon, Eq. (14): 0 inside and -inf outside; exact at the edge."""
+    tolerance, rho = tolerance_and_rho(epsilon, e)
+    return pt.switch(rho <= tolerance, INSIDE, OUTSIDE)
+
+
+def exponential_kernel(epsilon, e):
+    """-sum_j (ln epsilon_j + e_j / epsilon_j): the EXP likelihood at sigma_j^2 = epsilon_j / 2."""
+    return -pt.sum(pt.log(epsilon) + e / epsilon, axis=-1)
+
+
+def gaussian_kernel(epsilon, e):
+    """-(rho / epsilon)^2 / 2, PyMC's own soft kernel on rho."""
+    tolerance, rho = tolerance_and_rho(epsilon, e)
+    return -0.5 * pt.sqr(rho / tolerance)
+
+
+KERNELS = {
+    "uniform": uniform_kernel,
+    "exponential": exponential_kernel,
+    "gaussian": gaussian_kernel,
+}
+
+NO_GRADIENT_OF_FUNCTION = NoGradient(f"a function passed to DiscrepancySimulator has no gradient. {ADVICE}")
+NO_GRADIENT_OF_THRESHOLD = NoGradient(
+    f"the hard threshold of DiscrepancySimulator has no gradient. {ADVICE} The exponential and the gaussian "
+    "kernel are differentiable."
+)
+
+
+class Distance:
+    """What `pm.Simulator` calls a distance: one of `KERNELS` at rho = sum_j e_j, Eq. (15)."""
+
+    def __init__(self, kernel: str):
+        self.kernel = kernel
+        self.hard = kernel == "uniform"
+
+    def __call__(self, epsilon, observed, simulated):
+        if observed.ndim == 1:  # a summary: each entry counts once
+            e = pt.sqr(observed - simulated)
+        else:
+            e = mean_square_discrepancy(simulated, observed)
+        return NO_GRADIENT_OF_FUNCTION(self.of_discrepancy(epsilon, e))
+
+    def of_discrepancy(self, epsilon, e):
+        """Log-density for mean squares e (sensor,); what failed is infinitely far."""
+        density = KERNELS[self.kernel](epsilon, pt.switch(pt.isnan(e), np.inf, e))
+        return NO_GRADIENT_OF_THRESHOLD(density) if self.hard else density
+
+    @property
+    def minus_rho(self):
+        """The distance whose log-density is -rho: what a sampler that lowers the tolerance looks at."""
+        return MinusRho(self.kernel)
+
+
+class MinusRho(Distance):
+    """-rho in the place of a kernel; -rho / epsilon where epsilon has one value for each sensor."""
+
+    def of_discrepancy(self, epsilon, e):
+        """-rho for mean squares e (sensor,)."""
+        return -tolerance_and_rho(epsilon, pt.switch(pt.isnan(e), np.inf, e))[1]
+
+
+def tolerance_and_rho(epsilon, e):
+    """Tolerance and rho, Eq. (15); with one tolerance for each sensor, 1 and sum_j e_j / epsilon_j."""
+    if epsilon.ndim == 0:
+        return epsilon, pt.sum(e, axis=-1)
+    return pt.ones(()), pt.sum(e / epsilon, axis=-1)
 
 
 class ResponseNode:
@@ -262,3 +350,73 @@ def _checked_data(observed):
         return observed
     values = np.array(values)
     return pytensor.shared(values, shape=values.shape) if gaps.any() else values
+
+
+def abc_tolerance(
+    sigma: ArrayLike | xr.DataTree | xr.Dataset | xr.DataArray, n_sensors: int
+) -> float | np.ndarray:
+    """Tolerance delta = 2 N_0 sigma^2 on rho = sum_j e_j, Eq. (16).
+
+    Parameters
+    ----------
+    sigma : float, array_like (sensor,), DataTree, Dataset or DataArray
+        The 90 % quantile of the EXP posterior of sigma, in the units of the data; positive. Its most
+        probable value would give the smallest rho there is, and an empty set. Of a posterior (the result of
+        sampling an EXP model, with its variable `sigma`, or draws of it with dimensions chain and draw) that
+        quantile is taken.
+    n_sensors : int
+        N_0, at least 1.
+
+    Returns
+    -------
+    float or array (sensor,)
+        delta, in squared units of the data; one for each sensor where sigma has one for each.
+
+    Examples
+    --------
+    >>> abc_tolerance(0.5, n_sensors=10)
+    5.0
+    >>> draws = xr.DataArray([[0.1, 0.2, 0.5, 0.6]], dims=("chain", "draw"))
+    >>> round(abc_tolerance(draws, n_sensors=10), 4)  # 90 % quantile 0.57
+    6.498
+    """
+    n_sensors = check_integer(n_sensors, "n_sensors")
+    if isinstance(sigma, xr.DataTree | xr.Dataset | xr.DataArray):
+        sigma = posterior_quantile(sigma)
+    values = as_numbers(sigma, "sigma", "Pass a quantile of its posterior.", what="one number")
+    if values.shape not in ((), (n_sensors,)):
+        raise ValueError(
+            f"`sigma` must be one number or one for each of the {n_sensors} sensors, got shape "
+            f"{values.shape}. Pass draws as a DataArray with dimensions chain and draw."
+        )
+    if not (np.isfinite(values) & (values > 0)).all():
+        raise ValueError(
+            f"`sigma` must be positive and finite, got {shown(values.tolist())}. Pass the 90 % quantile of "
+            "the EXP posterior, in the units of the data."
+        )
+    delta = 2.0 * n_sensors * values**2
+    return delta if delta.ndim else float(delta)
+
+
+def posterior_quantile(posterior):
+    """The 90 % quantile of sigma over chains and draws."""
+    if isinstance(posterior, xr.DataTree):
+        if "posterior" not in posterior.children:
+            raise ValueError(
+                "`sigma` must hold a posterior, got a DataTree without that group. Pass the result of "
+                "sampling an EXP model."
+            )
+        posterior = posterior["posterior"].to_dataset()
+    if isinstance(posterior, xr.Dataset):
+        if "sigma" not in posterior:
+            raise ValueError(
+                f"`sigma` must hold a variable of that name, got {', '.join(map(str, posterior)) or 'none'}. "
+                "Pass its draws, posterior[name]."
+            )
+        posterior = posterior["sigma"]
+    over = [dim for dim in ("chain", "draw", "sample") if dim in posterior.dims]
+    if not over:
+        raise ValueError(f"`sigma` must have the dimensions chain and draw, got {posterior.dims}.")
+    if posterior.dtype.kind not in "iuf" or not posterior.size:
+        raise TypeError(f"`sigma` must hold draws, got {posterior.size} values of type {posterior.dtype}.")
+    return posterior.quantile(QUANTILE, dim=over).values

@@ -1,1 +1,0 @@
-"""Exact posteriors by quadrature, to judge samplers by."""
