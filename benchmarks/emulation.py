@@ -13,7 +13,7 @@ import pymc as pm
 import pymc_features as pmf
 from benchmarks.tables import significant, table
 from pymc_features import paper
-from pymc_features.emulation.correction import largest_change
+from pymc_features.emulation.campaign import largest_change
 from pymc_features.inference.parameters import Unconstrained, to_unconstrained
 from pymc_features.processes.calls import Outcome
 from pymc_features.smc import population_logp

@@ -5,8 +5,8 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from contextlib import contextmanager
-from numbers import Integral, Real
 from importlib.util import find_spec
+from numbers import Integral, Real
 from pathlib import Path
 from reprlib import Repr
 from typing import TYPE_CHECKING

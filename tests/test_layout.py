@@ -38,8 +38,7 @@ ALLOWED = {
     "prediction": {"records", "structures", "simulators"},
     "ops": {"algebra", "records", "structures", "simulators", "band_limited"},
     "modal_features": {"records", "structures", "simulators", "ops"},
-    "ambient": {"records", "structures", "simulators", "ops", "modal_features", "signals"},
-    "identification": {"ambient", "modal", "signals", "simulators"},
+    "ambient": {"records", "structures", "simulators", "ops", "modal", "modal_features", "signals"},
     "likelihoods": {"ops", "modal_features", "fingerprint"},
     "smc": {"processes", "simulators"},
     "inference": {"records", "structures", "simulators", "ops", "likelihoods", "processes", "smc"},
@@ -58,7 +57,7 @@ ALLOWED = {
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators", "ops"),
         *("likelihoods", "smc", "inference", "calibration", "prediction"),
-        *("storage", "plots", "modal", "modal_features", "events", "ambient", "identification"),
+        *("storage", "plots", "modal", "modal_features", "events", "ambient"),
         *("external", "emulation"),
     },
 }

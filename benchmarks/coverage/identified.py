@@ -9,7 +9,7 @@ from scipy import signal
 
 import pymc_features as pmf
 from benchmarks.tables import table
-from pymc_features.identification.identify import of_band, transformed
+from pymc_features.ambient.identify import of_band, transformed
 
 RUNS, QUICK_RUNS = 400, 40
 FREQUENCIES, RATIOS = np.array([1.0, 1.04]), np.array([0.01, 0.015])

@@ -1,14 +1,12 @@
-"""Responses to forces that nobody measured: likelihood in the frequency domain."""
+"""Responses to forces that nobody measured: their likelihood in the frequency domain, and modes."""
 
-from pymc_features.ambient import numba_dispatch
-from pymc_features.ambient.response import AmbientResponse
-from pymc_features.ambient.spectral import SpectralResponse, spectral_response
-
-OPS = numba_dispatch.OPS
+from pymc_features.ambient.identify import identify_modes, propose_bands
+from pymc_features.ambient.response import AmbientResponse, SpectralResponse, spectral_response
 
 __all__ = [
-    "OPS",
     "AmbientResponse",
     "SpectralResponse",
+    "identify_modes",
+    "propose_bands",
     "spectral_response",
 ]

@@ -1,27 +1,281 @@
-"""AmbientResponse: the likelihood of responses to forces that nobody measured."""
+"""AmbientResponse: the likelihood of responses to forces that nobody measured, in the frequency domain.
+
+`spectral_response` says what white forces make of a structure. The transforms of channels at the frequencies
+of some bands are Gaussian; a draw is a history that has these transforms, and nothing else but the mean.
+"""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+import pymc as pm
+import pytensor.tensor as pt
 from numpy.typing import ArrayLike
-from pymc.distributions.distribution import Continuous
+from pymc.distributions.distribution import Continuous, SymbolicRandomVariable
+from pymc.logprob.abstract import _logprob
+from pymc.pytensorf import normalize_rng_param
+from pytensor.graph.basic import Apply, Constant, Variable
+from pytensor.graph.op import Op
 from pytensor.tensor import TensorLike, TensorVariable
+from scipy import sparse
 
 from pymc_features._checks import (
     as_numbers,
+    check_choice,
     check_finite,
     check_integer,
     check_name,
     check_step,
     message,
     shown,
+    warn_caller,
 )
-from pymc_features.ambient.bands import checked_bands
-from pymc_features.ambient.density import AmbientResponseRV
-from pymc_features.ambient.forces import in_bands, modal_factor
-from pymc_features.ambient.spectral import MEASURED, SpectralResponse, spectral
-from pymc_features.ambient.warn import warn_at_start
+from pymc_features.ambient.bands import (
+    BandHistories,
+    Bands,
+    BandTransform,
+    band_histories,
+    checked_bands,
+    transfer_functions,
+)
+from pymc_features.ambient.operations import ModalFactor, ModalFactorGradient, SpectralGradient, SpectralLogp
+from pymc_features.exceptions import AmbientWarning
+from pymc_features.modal_features import modes
 from pymc_features.ops import as_tensor, by_labels, known_dims
+from pymc_features.ops.numba_dispatch import run_in_python
+from pymc_features.simulators.request import check_outputs, check_sensors, picked_by_name
+from pymc_features.structures import Structure
+
+MEASURED = {"acceleration": 0, "velocity": 1, "displacement": 2}  # how often the acceleration is integrated
+PARTS = "(m),(m),(m,s),(b,m,r,c),(b,s)"
+LINES = "bins", "weights", "gains", "starts", "dt"  # of `Bands`
+FEWEST_IN_PEAK = 4.0  # frequencies of the record in the half-power width of a mode
+
+
+class SpectralResponse(NamedTuple):
+    """Modes of a structure at the sensors, and the forces on them.
+
+    Attributes
+    ----------
+    frequencies, damping_ratios : TensorVariable (mode,)
+        f_r [Hz] and zeta_r [-].
+    shapes : TensorVariable (mode, sensor)
+        Mass-normalised [kg^(-1/2)].
+    patterns : TensorVariable (mode, force)
+        phi_r' w_i, what unit force i does to mode r.
+    excitation : TensorVariable (), (band,) or (band, force)
+        One-sided spectral density of the forces.
+    quantity : str
+        A key of `MEASURED`.
+    """
+
+    frequencies: TensorVariable
+    damping_ratios: TensorVariable
+    shapes: TensorVariable
+    patterns: TensorVariable
+    excitation: TensorVariable
+    quantity: str
+
+
+def spectral_response(
+    structure: Structure,
+    excitation: TensorLike,
+    *,
+    forces: str | ArrayLike = "dofs",
+    sensors: Sequence[int] | Sequence[str] | None = None,
+    outputs: ArrayLike | sparse.sparray | None = None,
+    n_modes: int | None = None,
+    quantity: str = "acceleration",
+) -> SpectralResponse:
+    """Response of a structure to independent forces that are known by their spectral densities only.
+
+    Parameters
+    ----------
+    structure : Structure
+        Its parameters may be random variables. Of a nonlinear chain the small motions count.
+    excitation : tensor_like (), (band,) or (band, force)
+        One-sided spectral density of each force [N^2/Hz], constant in each band of `AmbientResponse`.
+        Positive.
+    forces : {"dofs", "modes"} or array_like (n, force)
+        Where they act: one on each degree of freedom; one on each mode, phi' f with the unit N^2/kg/Hz; or
+        patterns along the structure, in columns.
+    sensors : sequence of int or str, optional
+        Degrees of freedom where was measured, 0 next to the base, or their names. All by default.
+    outputs : array_like or sparse matrix (s, n), optional
+        S, for measured combinations S x of degrees of freedom instead of `sensors`.
+    n_modes : int, optional
+        Modes that are taken into account, lowest first; all by default. Of a mode above the bands the
+        quasi-static part counts still.
+    quantity : {"acceleration", "velocity", "displacement"}
+        What was measured.
+
+    Returns
+    -------
+    SpectralResponse
+        For `AmbientResponse`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+    """
+    check_choice(quantity, "quantity", tuple(MEASURED))
+    density = spectral(excitation, "excitation")
+    if isinstance(forces, str) and check_choice(forces, "forces", ("dofs", "modes")) == "modes":
+        found = modes(structure, n_modes, sensors=sensors, outputs=outputs)
+        patterns = pt.eye(found.frequencies.type.shape[0])
+        return SpectralResponse(*at_sensors(found, found.shapes), patterns, density, quantity)
+    found = modes(structure, n_modes)
+    n = structure.n_dof
+    patterns = found.shapes if isinstance(forces, str) else pt.dot(found.shapes, checked_patterns(forces, n))
+    if outputs is not None:
+        if sensors is not None:
+            raise ValueError("`sensors` must be left out with `outputs`, got both. Choose rows of `outputs`.")
+        shapes = pt.dot(found.shapes, check_outputs(outputs, n).T)
+    else:
+        picked, combined, _ = picked_by_name(structure, sensors)
+        shapes = found.shapes[:, check_sensors(picked, n)]
+        if combined is not None:
+            shapes = pt.dot(found.shapes, combined.T)
+    return SpectralResponse(*at_sensors(found, shapes), patterns, density, quantity)
+
+
+def at_sensors(found, shapes):
+    """The first three attributes of `SpectralResponse`."""
+    return found.frequencies, found.damping_ratios, shapes
+
+
+def checked_patterns(forces, n: int) -> np.ndarray:
+    """Patterns of forces (n, force)."""
+    patterns = as_numbers(forces, "forces", 'Pass "dofs", "modes", or a matrix.').astype(np.float64)
+    if patterns.ndim != 2 or len(patterns) != n or not patterns.size:
+        raise ValueError(message("forces", f"({n}, force), a row for each degree of freedom", patterns.shape))
+    check_finite(patterns, "forces")
+    return patterns
+
+
+def spectral(value, name: str) -> TensorVariable:
+    """A tensor; numbers are refused where they are not positive."""
+    tensor = as_tensor(value, name, "Pass a spectral density.")
+    numbers = tensor.data if isinstance(tensor, Constant) else np.ones(1)
+    if not numbers.size or not (np.isfinite(numbers) & (numbers > 0)).all():
+        raise ValueError(message(name, "positive and finite", shown(np.asarray(numbers).tolist())))
+    return tensor
+
+
+def in_bands(value: TensorVariable, name: str, n_bands: int, columns: int | None, what: str):
+    """A tensor (b, columns) from one number, one for each band, or one for each band and column."""
+    expected = f"one value, one for each of the {n_bands} bands, or (band, {what})"
+    shape = value.type.shape
+    if value.ndim > 2 or (value.ndim and shape[0] not in (None, 1, n_bands)):
+        raise ValueError(message(name, expected, shape))
+    if value.ndim == 2 and columns is not None and shape[1] not in (None, 1, columns):
+        raise ValueError(message(name, expected, shape, f"There are {columns} columns."))
+    if value.ndim < 2:
+        value = value[..., None]
+    return pt.broadcast_to(value, (n_bands, columns))
+
+
+def modal_factor(patterns: TensorVariable, density: TensorVariable) -> TensorVariable:
+    """L (b, m, r, 2) with L L' = P diag(S) P', for patterns P (m, r) and spectral densities S (b, r).
+
+    Of more forces than modes, L is the Cholesky factor (b, m, m).
+    """
+    m, r = patterns.type.shape
+    if m is None or r is None or r <= m:
+        factor = patterns[None] * pt.sqrt(density)[:, None, :]
+    else:
+        factor = ModalFactor()(patterns, density)
+    return pt.stack([factor, pt.zeros_like(factor)], axis=-1)
+
+
+class AmbientHistories(Op):
+    """Histories (s, t) whose transforms in some bands have the covariance E_k, from standard normal numbers.
+
+    Inputs are those of `AmbientResponseRV`, and normal numbers (2, k, r) of forces and (s, 2, k) of errors.
+    """
+
+    __props__ = ()
+    gufunc_signature = f"{PARTS},(s,t),(k),(k),(k),(e),(),(c,k,r),(s,c,k)->(s,t)"
+
+    def make_node(self, *inputs):
+        inputs = [pt.as_tensor_variable(x) for x in inputs]
+        return Apply(self, inputs, [pt.tensor(dtype="float64", shape=inputs[5].type.shape)])
+
+    def perform(self, node, inputs, output_storage):
+        [output_storage[0][0]] = self.run(inputs)
+
+    def infer_shape(self, node, shapes):
+        return [shapes[5]]
+
+    def run(self, inputs) -> tuple[np.ndarray]:
+        """Histories of arrays."""
+        natural, ratios, shapes, factor, error, mean, bins, weights, gains, starts, dt, *normal = inputs
+        of_forces, of_error = (np.sqrt(0.5) * x for x in normal)
+        band = np.repeat(np.arange(len(starts) - 1), np.diff(starts))  # of each frequency
+        frequencies = bins / (dt * mean.shape[-1])
+        transfer = gains[:, None] * transfer_functions(natural, ratios, frequencies)
+        factor, of_forces = factor[..., 0] + 1j * factor[..., 1], of_forces[0] + 1j * of_forces[1]
+        forces = np.einsum("kmr,kr->km", factor[band], of_forces)
+        response = ((transfer * forces) @ shapes).T
+        spectra = np.stack([response.real, response.imag], axis=1)
+        spectra += of_error * np.sqrt(error[band].T[:, None])
+        return (mean + band_histories(spectra, bins, weights, dt, mean.shape[-1]) / dt,)
+
+
+class AmbientResponseRV(SymbolicRandomVariable):
+    """Channels (s, t) whose transforms in some bands are Gaussian; draws have nothing else but the mean."""
+
+    name = "AmbientResponse"
+    extended_signature = f"[rng],{PARTS},(s,t),(k),(k),(k),(e),()->[rng],(s,t)"
+    _print_name = ("AmbientResponse", "\\operatorname{AmbientResponse}")
+
+    @classmethod
+    def rv_op(
+        cls,
+        parameters: Sequence[TensorLike],
+        bands: Bands,
+        *,
+        rng: Variable | None = None,
+        size: TensorVariable | None = None,
+    ) -> TensorVariable:
+        """Build draws from `SpectralParameters`, with the mean (s, t) in place of transforms, and `Bands`."""
+        parameters = [pt.as_tensor_variable(x) for x in parameters]
+        lines = [pt.as_tensor_variable(getattr(bands, name)) for name in LINES]
+        rng = normalize_rng_param(rng)
+        _, _, shapes, factor, *_ = parameters
+        k = bands.bins.size
+        next_rng, forces = pt.random.normal(size=(2, k, factor.shape[2]), rng=rng, return_next_rng=True)
+        next_rng, errors = pt.random.normal(size=(shapes.shape[1], 2, k), rng=next_rng, return_next_rng=True)
+        histories = AmbientHistories()(*parameters, *lines, forces, errors)
+        return cls(inputs=[rng, *parameters, *lines], outputs=[next_rng, histories])(rng, *parameters, *lines)
+
+
+def parameters_of(rv: TensorVariable) -> list[Variable]:
+    """Frequencies, damping ratios, shapes, factor of the forces and error of an `AmbientResponse`."""
+    return rv.owner.inputs[1:6]
+
+
+@_logprob.register(AmbientResponseRV)
+def ambient_logprob(op, values, rng, *inputs, **kwargs):
+    """Log-likelihood of the transforms in all bands."""
+    [value] = values
+    natural, ratios, shapes, factor, error, mean, bins, weights, gains, starts, dt = inputs
+    spectra = BandTransform()(value - mean, bins, weights, dt)
+    frequencies = bins / (dt * value.shape[-1])
+    logp = SpectralLogp(of_spectra=not isinstance(mean, Constant))
+    return logp(natural, ratios, shapes, factor, error, spectra, frequencies, weights, gains, starts)
+
+
+run_in_python(
+    SpectralLogp,
+    SpectralGradient,
+    BandTransform,
+    BandHistories,
+    AmbientHistories,
+    ModalFactor,
+    ModalFactorGradient,
+)
 
 
 class AmbientResponse(Continuous):
@@ -148,3 +402,47 @@ def checked_channels(observed) -> np.ndarray:
         raise ValueError(message("observed", "channels (sensor, time)", data.shape))
     check_finite(data, "observed", "Cut the record where there are gaps, and pass the parts as variables.")
     return data
+
+
+def warn_at_start(rv, response, bands) -> None:
+    """Warn where at the model's initial point a band has no mode, or a mode in a band a peak too narrow."""
+    model = pm.modelcontext(None)
+    try:
+        frequencies, ratios = model_values(model, [response.frequencies, response.damping_ratios])
+    except Exception:  # what cannot be evaluated here is no error of the user's
+        return
+    duration = bands.n_samples * bands.dt
+    for low, high in bands.limits:
+        inside = (frequencies >= low) & (frequencies <= high)
+        if not inside.any():
+            near = frequencies[np.argmin(np.abs(np.log(frequencies / np.sqrt(low * high))))]
+            tell(
+                f"the band {low:g} to {high:g} Hz of {rv.name} has no mode at the model's initial point; the "
+                f"nearest is at {near:.4g} Hz. Move the band, or the start of the parameters."
+            )
+        for f, zeta in zip(frequencies[inside], ratios[inside], strict=True):
+            warn_of_peak(f"the mode of {rv.name} at {f:.4g} Hz", f, zeta, duration)
+
+
+def warn_of_peak(what: str, f: float, zeta: float, duration: float) -> None:
+    """Warn if a record of some seconds has few frequencies in the half-power width of a mode."""
+    count = 2.0 * zeta * f * duration
+    if count < FEWEST_IN_PEAK:
+        tell(
+            f"a record of {duration:.4g} s is short for {what} with {100.0 * zeta:.3g} % damping: "
+            f"{count:.2g} of its frequencies lie in the half-power width. Its damping will be uncertain and "
+            f"biased; {FEWEST_IN_PEAK / (2 * zeta * f):.3g} s and more are better."
+        )
+
+
+def tell(text: str) -> None:
+    """Warn of bands and records that cannot say much, at the user's line."""
+    warn_caller(text, AmbientWarning)
+
+
+def model_values(model, variables) -> list[np.ndarray]:
+    """Values of variables at the initial point of a model."""
+    function = model.compile_fn(
+        model.replace_rvs_by_values(variables), mode="FAST_COMPILE", on_unused_input="ignore"
+    )
+    return function(model.initial_point())

@@ -10,9 +10,14 @@ import xarray as xr
 from rich.console import Console
 
 from pymc_features._checks import check_integer, check_model, check_seed, check_share
-from pymc_features.emulation.campaign import Campaign
-from pymc_features.emulation.correction import Remaining, largest_change, remaining
-from pymc_features.emulation.design import first_points, next_points
+from pymc_features.emulation.campaign import (
+    Campaign,
+    Remaining,
+    first_points,
+    largest_change,
+    next_points,
+    remaining,
+)
 from pymc_features.emulation.replacement import replaced
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.parameters import check_continuous, coordinate_names
@@ -31,7 +36,7 @@ EDGE = 0.01  # share of the posterior's draws below which a run is not in the po
 
 
 class Emulation(NamedTuple):
-    """What `emulate` has found.
+    """Posterior and model that `emulate` has found.
 
     Attributes
     ----------
@@ -271,7 +276,7 @@ def described(campaign, settings, history, left: Remaining) -> xr.Dataset:
 
 
 def advice(last: Batch, left: Remaining, settings) -> str:
-    """What is wrong, and what to do."""
+    """Say what is wrong, and what to do."""
     return (
         f"the emulator was still learning after {last.runs} runs: the last ones moved a quantile by "
         f"{100 * last.change:.2g} % of the 5-95 % width, and were predicted to {last.error:.2g} nats. The "

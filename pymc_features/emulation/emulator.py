@@ -91,7 +91,7 @@ class Comparison(NamedTuple):
 
 
 class Emulator:
-    """What some runs tell about the response elsewhere.
+    """Emulator of a response: what some runs tell about it elsewhere.
 
     Parameters
     ----------

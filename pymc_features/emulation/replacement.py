@@ -25,7 +25,7 @@ SAME_RUN = 1e-9  # distance in scaled coordinates within which parameters are th
 
 
 class StandIn:
-    """What the Ops of a model call in place of the simulator: an emulator, which may be replaced by a better.
+    """Stands in for the simulator in the Ops of a model: an emulator, which may be replaced by a better.
 
     Parameters
     ----------

@@ -2,6 +2,8 @@
 
 import hashlib
 import os
+import sys
+import time
 import uuid
 from collections import deque
 from concurrent.futures import Executor
@@ -13,17 +15,17 @@ import cloudpickle
 import numpy as np
 
 from pymc_features._checks import check_path
-from pymc_features.external import gradient, program
+from pymc_features.external import program
 from pymc_features.external.cache import EvaluationCache
 from pymc_features.external.checks import check_evaluation
-from pymc_features.external.progress import Lines
 from pymc_features.fingerprint import fingerprint
 from pymc_features.processes.calls import Outcome
 from pymc_features.processes.executors import Batch, Work, open_executor
 
 FAILURES_KEPT = 1000
 WORKS_KEPT = 8  # data sets for which the payload is kept
-BY_VALUE = (program, gradient)  # their classes come along: to import the package takes seconds
+BY_VALUE = (program,)  # its classes come along: to import the package takes seconds
+SILENT_SECONDS, EVERY_SECONDS = 5.0, 10.0  # of lines on the progress
 STATES = ("ok", "error", "timeout", "died", "invalid", "cached")
 
 
@@ -52,7 +54,7 @@ class Failure:
 
 @dataclass(frozen=True)
 class Task:
-    """What is computed from the parameters.
+    """A function of the parameters, and the shape and identity of its results.
 
     Attributes
     ----------
@@ -252,3 +254,61 @@ def call_key(own: str, arguments) -> str:
     for a in arguments:
         digest.update(str(np.shape(a)).encode() + np.asarray(a, dtype=np.float64).tobytes())
     return digest.hexdigest()
+
+
+class Lines:
+    """Writes a line to standard error now and then: simulations done, failed, rate, time left.
+
+    Plain lines do not disturb a progress bar.
+
+    Parameters
+    ----------
+    shown : bool
+        Or nothing is written.
+    """
+
+    def __init__(self, shown: bool):
+        self.shown = shown
+        self.last = None
+        self.done = self.failed = 0
+        self.seconds = 0.0  # of the batches before: what lies between them does not count in the rate
+        self.batch_start = self.latest = 0.0
+
+    def begin(self, total: int):
+        """A batch of calls begins."""
+        now = time.monotonic()
+        if self.last is None:
+            self.last = now + SILENT_SECONDS - EVERY_SECONDS
+        self.seconds += self.latest - self.batch_start
+        self.latest = now
+        self.total, self.before, self.batch_start = total, self.done, now
+
+    def count(self, ok: bool):
+        """A call is over."""
+        self.done += 1
+        self.failed += not ok
+        self.latest = time.monotonic()
+
+    def tick(self):
+        """Write a line if it is time to."""
+        now = time.monotonic()
+        if self.shown and now - self.last >= EVERY_SECONDS:
+            self.last = now
+            print(self.line(now), file=sys.stderr, flush=True)
+
+    def line(self, now: float) -> str:
+        """Text of the progress line."""
+        done = self.done - self.before
+        rate = self.done / max(self.seconds + now - self.batch_start, 1e-9)
+        text = f"simulations: {self.done} done, {self.failed} failed, {rate:.3g}/s"
+        if 0 < done < self.total:
+            left = (now - self.batch_start) / done * (self.total - done)
+            text += f"; of this batch {done} of {self.total}, {clock(left)} left"
+        return text
+
+
+def clock(seconds: float) -> str:
+    """Seconds as h:mm:ss or m:ss."""
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"

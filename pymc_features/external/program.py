@@ -1,4 +1,4 @@
-"""A program outside Python as a simulator function."""
+"""Functions that travel to worker processes by value: a program outside Python, a user's gradient."""
 
 import re
 import subprocess
@@ -154,3 +154,28 @@ def filled(text: str, values: dict) -> str:
         return format(float(value), form.rstrip()) if form else repr(float(value))
 
     return PLACE.sub(number, text)
+
+
+class FlatGradient:
+    """Gradients by all parameters, one behind the other.
+
+    Parameters
+    ----------
+    gradient : callable
+        `gradient(*parameters, cotangent)`: one array for each parameter.
+    """
+
+    def __init__(self, gradient):
+        self.gradient = gradient
+
+    def __call__(self, *parameters_and_cotangent):
+        *parameters, _ = parameters_and_cotangent
+        results = self.gradient(*parameters_and_cotangent)
+        if len(parameters) == 1 and np.shape(results) == np.shape(parameters[0]):
+            results = [results]
+        if [np.shape(r) for r in results] != [np.shape(p) for p in parameters]:
+            raise ValueError(
+                f"`gradient` must return arrays of the shapes {[np.shape(p) for p in parameters]}, got "
+                f"{[np.shape(r) for r in results]}."
+            )
+        return np.concatenate([np.ravel(r) for r in results])

@@ -12,7 +12,7 @@ from pymc_features._checks import as_numbers, check_keywords, message
 from pymc_features.exceptions import UnknownIdentityError
 from pymc_features.external.checks import check_simulator
 from pymc_features.external.evaluator import EvaluationOptions, Evaluator, Failure, Task
-from pymc_features.external.gradient import FlatGradient
+from pymc_features.external.program import FlatGradient
 from pymc_features.fingerprint import fingerprint
 from pymc_features.ops import ExternalResponse, as_tensor
 

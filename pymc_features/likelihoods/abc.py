@@ -92,7 +92,7 @@ NO_GRADIENT_OF_THRESHOLD = NoGradient(
 
 
 class Distance:
-    """What `pm.Simulator` calls a distance: one of `KERNELS` at rho = sum_j e_j, Eq. (15)."""
+    """Distance of a `pm.Simulator` node: one of `KERNELS` at rho = sum_j e_j, Eq. (15)."""
 
     def __init__(self, kernel: str):
         self.kernel = kernel

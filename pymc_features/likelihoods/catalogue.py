@@ -21,7 +21,7 @@ DIMS = ("sensor", "time")
 
 @dataclass(frozen=True)
 class Comparison:
-    """What is compared, and with which parameters; those that a likelihood does not take are None.
+    """Response, measurements and parameters of a comparison; those that a likelihood does not take are None.
 
     Attributes
     ----------
@@ -145,11 +145,6 @@ def declare_feature(likelihood, *names):
     return declare
 
 
-def declare_abc(given):
-    """Add a simulator node."""
-    DiscrepancySimulator("y", given.mu, epsilon=given.epsilon, observed=given.observed, dims=DIMS)
-
-
 def declare_correlated(given):
     """Add Gaussian errors correlated in time."""
     CorrelatedNormal(
@@ -189,7 +184,9 @@ ABC = Likelihood(
     "ABC",
     "likelihood-free: sum of the mean squares within a tolerance, Eqs. (14)-(15)",
     "#CC79A7",
-    declare_abc,
+    lambda given: DiscrepancySimulator(
+        "y", given.mu, epsilon=given.epsilon, observed=given.observed, dims=DIMS
+    ),
     takes=("epsilon",),
 )
 CN = Likelihood(

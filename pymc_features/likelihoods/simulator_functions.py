@@ -19,10 +19,9 @@ from scipy.optimize import linear_sum_assignment
 from pymc_features.exceptions import SimulationWarning, UnknownIdentityError
 from pymc_features.fingerprint import fingerprint
 from pymc_features.modal_features import SymbolicModes, mac
-from pymc_features.modal_features.assignment import Assignment
 from pymc_features.modal_features.identified import Identified
-from pymc_features.modal_features.mac import one_minus_mac
-from pymc_features.modal_features.operations import StructuralModes
+from pymc_features.modal_features.matching import Assignment, one_minus_mac
+from pymc_features.modal_features.structural_modes import StructuralModes
 from pymc_features.ops import NoGradient, StructuralResponse, mean_square_discrepancy, measured_samples
 
 ADVICE = (
@@ -33,7 +32,22 @@ FAR = 1e30  # stands for an infinite distance in sums of which the smallest is s
 NO_GRADIENT_OF_NOISE = NoGradient(f"a simulator with noise has no gradient. {ADVICE}")
 
 
-class ResponseSimulator:
+class SimulatorFunction:
+    """Base: `core` simulates one set of parameters, `settings` are the inputs of `op` behind them."""
+
+    draws_random_numbers = False
+
+    def results(self, parameters):
+        """Outputs of `op` for one set of parameters; data among the settings are read anew in each call."""
+        settings = (np.asarray(number(value)) for value in self.settings)
+        return self.op.run([*(np.asarray(p, dtype=np.float64) for p in parameters), *settings])
+
+    def __call__(self, rng, *parameters_and_size):
+        *parameters, size = parameters_and_size
+        return simulate_batch(self.core, *spread_batch(parameters, self.ndims_params, size))
+
+
+class ResponseSimulator(SimulatorFunction):
     """Simulator function of a response, `fn(rng, *parameters, size)`.
 
     Parameters
@@ -41,10 +55,8 @@ class ResponseSimulator:
     op : StructuralResponse
         Which response.
     settings : list of TensorVariable
-        The inputs behind its parameters; data among them are read anew in each call.
+        The inputs behind its parameters.
     """
-
-    draws_random_numbers = False
 
     def __init__(self, op: StructuralResponse, settings: list):
         self.op = op
@@ -53,12 +65,7 @@ class ResponseSimulator:
 
     def core(self, *parameters):
         """Response (sensor, time) of one set of parameters."""
-        settings = (np.asarray(number(value)) for value in self.settings)
-        return self.op.run([*(np.asarray(p, dtype=np.float64) for p in parameters), *settings])[0]
-
-    def __call__(self, rng, *parameters_and_size):
-        *parameters, size = parameters_and_size
-        return simulate_batch(self.core, *spread_batch(parameters, self.ndims_params, size))
+        return self.results(parameters)[0]
 
     def discrepancy(self, parameters, value):
         """e_j of the parameters, as a tensor, without a history."""
@@ -157,7 +164,7 @@ class NoisySimulator:
 
     @property
     def last_error(self) -> str:
-        """What the simulator raised last, or nothing."""
+        """Text of the last exception of the simulator, or nothing."""
         return getattr(self.simulator, "last_error", "")
 
     def __call__(self, rng, *parameters_and_size):
@@ -240,7 +247,7 @@ def number(variable):
     return value.item() if value.ndim == 0 else value
 
 
-class ModesSimulator:
+class ModesSimulator(SimulatorFunction):
     """Simulator function of modes, `fn(rng, *parameters, size)`: those that are matched, in one array.
 
     Parameters
@@ -256,8 +263,6 @@ class ModesSimulator:
     with_shape : bool array (i,)
         Identifications that have a shape: entries are all frequencies, then these.
     """
-
-    draws_random_numbers = False
 
     def __init__(self, node, data: Identified):
         self.op, n = node.op, node.op.n_parameters
@@ -282,10 +287,7 @@ class ModesSimulator:
 
     def core(self, *parameters):
         """Values (i, c) of one set of parameters, shapes scaled such that they fit best."""
-        settings = (np.asarray(number(value)) for value in self.settings)
-        frequencies, shapes, _ = self.op.run(
-            [*(np.asarray(p, dtype=np.float64) for p in parameters), *settings]
-        )
+        frequencies, shapes, _ = self.results(parameters)
         data = self.data
         if not np.isfinite(frequencies).all():
             return np.full(data.values.shape, np.nan)
@@ -302,10 +304,6 @@ class ModesSimulator:
         squares = np.sum(fitted**2, axis=1, keepdims=True)
         scale = np.sum(fitted * data.shapes, axis=1, keepdims=True) / np.where(squares > 0.0, squares, 1.0)
         return data._replace(frequencies=frequencies[r], shapes=scale * fitted).values
-
-    def __call__(self, rng, *parameters_and_size):
-        *parameters, size = parameters_and_size
-        return simulate_batch(self.core, *spread_batch(parameters, self.ndims_params, size))
 
     def discrepancy(self, parameters, value):
         """Squared errors (entry,), a tensor: (ln f^ - ln f)^2 of each, then 1 - MAC of those with a shape."""

@@ -5,8 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown, warn_caller
 from pymc_features.exceptions import ModalMatchWarning
 from pymc_features.ops import by_labels
 
@@ -39,7 +38,7 @@ class Identified(NamedTuple):
 
     @property
     def entries(self) -> list[str]:
-        """What the columns of `values` are."""
+        """Names of the columns of `values`."""
         s = self.shapes.shape[1]
         names = [f"shape {j}" for j in range(s)]
         if self.is_complex:
@@ -48,7 +47,7 @@ class Identified(NamedTuple):
 
     @property
     def of(self) -> list[str]:
-        """What each identification is called."""
+        """Names of the identifications."""
         return identification_names(self.labels, self.groups.argmax(axis=0))
 
     @property
@@ -64,7 +63,7 @@ class Identified(NamedTuple):
 
     @property
     def entries_by_label(self) -> list[str]:
-        """What the columns of `by_label` are."""
+        """Names of the columns of `by_label`."""
         k = rows_by_label(self.groups).shape[1]
         return self.entries if k == 1 else [f"{entry}.{j}" for j in range(k) for entry in self.entries]
 
@@ -118,7 +117,7 @@ def identified(observed, labels=None) -> Identified:
 
 
 def identification_names(labels, owner) -> list[str]:
-    """What identifications are called: the label of each one's mode, with a number where it has several."""
+    """Names of identifications: the label of each one's mode, with a number where it has several."""
     owner = list(owner)
     return [
         f"{labels[g]}" if owner.count(g) == 1 else f"{labels[g]}.{owner[:i].count(g)}"

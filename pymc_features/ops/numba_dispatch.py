@@ -186,3 +186,13 @@ def in_python(op, node, *tables):
 
 for _op in OPS:
     register_funcify_and_cache_key(_op)(funcify)
+
+
+def run_in_python(*ops):
+    """Let Numba-compiled graphs call `run` of Ops, which is no part of the machine code nor of its key."""
+
+    def funcify_call(op, node=None, **kwargs):
+        return in_python(op, node), default_hash_key_from_props(op, dispatch=DISPATCH_HASH)
+
+    for op in ops:
+        register_funcify_and_cache_key(op)(funcify_call)

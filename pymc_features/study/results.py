@@ -91,7 +91,7 @@ def loops_of(study) -> xr.Dataset:
 
 
 def cell(reference, part) -> dict:
-    """What is said of one likelihood at one sampling step; NaN of parameters that it does not infer.
+    """Statistics of one likelihood at one sampling step, sampled and exact; NaN of what it does not infer.
 
     The maximum of the draws is the draw of the highest density. There is no R-hat of one chain.
     """
@@ -192,7 +192,7 @@ def trends(result: xr.DataTree) -> Table:
 
 
 def verdict(kind: str, steps, width) -> str:
-    """What a finer sampling does to an interval, from its widths at the two smallest steps."""
+    """Effect of a finer sampling on an interval, in words, from its widths at the two smallest steps."""
     if len(steps) < 2:
         return "one sampling step only"
     exponent = np.log(width[1] / width[0]) / np.log(steps[1] / steps[0])

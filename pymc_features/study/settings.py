@@ -1,4 +1,4 @@
-"""What determines the numbers of a study: its settings, measurements, misfits and PyMC models.
+"""Settings of a study, and the measurements, misfits and PyMC models that follow from them.
 
 Of the misfit between response and measurements at one sampling step, four sums over the sensors are all that
 the likelihoods need: of e_j, of the mean squared increments, and of the first and last square.

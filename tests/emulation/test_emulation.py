@@ -16,7 +16,7 @@ from pymc_features import (
     mean_square_discrepancy,
 )
 from pymc_features.emulation import gaussian_process
-from pymc_features.emulation.correction import largest_change, remaining
+from pymc_features.emulation.campaign import largest_change, remaining
 from pymc_features.emulation.emulator import Coordinates, Emulator
 from pymc_features.emulation.gaussian_process import GaussianProcess, Hyperparameters, fit_hyperparameters
 from pymc_features.emulation.replacement import replaced

@@ -15,7 +15,7 @@ import pytest
 from pymc_features import ExternalSimulator, PopulationIMH, sample_smc
 from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
 from pymc_features.external import EvaluationCache
-from pymc_features.external.progress import Lines, clock
+from pymc_features.external.evaluator import Lines, clock
 from pymc_features.processes import calls
 from pymc_features.processes.calls import SimulatorProcess
 from support import external_functions as functions

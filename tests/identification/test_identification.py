@@ -11,12 +11,10 @@ import xarray as xr
 from scipy import signal
 
 import pymc_features as pmf
-from pymc_features.ambient.bands import checked_bands
-from pymc_features.ambient.transforms import band_transform
+from pymc_features.ambient.bands import band_transform, checked_bands
+from pymc_features.ambient.free_modes import BandData, FreeModes, Posterior
+from pymc_features.ambient.identify import each_once, without_tones
 from pymc_features.exceptions import AmbientWarning
-from pymc_features.identification.identify import each_once
-from pymc_features.identification.posterior import BandData, FreeModes, Posterior
-from pymc_features.identification.propose import without_tones
 from pymc_features.simulators.spectra import Lines
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))

@@ -14,13 +14,10 @@ from pydantic import PlainValidator, model_validator
 from pytensor.graph.replace import clone_replace
 
 from pymc_features import plots, signals
-from pymc_features.ambient import AmbientResponse, spectral_response
-from pymc_features.ambient.bands import Bands, checked_bands
-from pymc_features.ambient.density import parameters_of
-from pymc_features.ambient.transfer import transfer_functions
-from pymc_features.ambient.transforms import band_transform
+from pymc_features.ambient import AmbientResponse, identify_modes, propose_bands, spectral_response
+from pymc_features.ambient.bands import Bands, band_transform, checked_bands, transfer_functions
+from pymc_features.ambient.response import parameters_of
 from pymc_features.exceptions import AmbientWarning, ConfigError
-from pymc_features.identification import identify_modes, propose_bands
 from pymc_features.likelihoods import DIMS, Likelihood
 from pymc_features.modal import ModalData
 from pymc_features.signals.spectra import averaged_spectra

@@ -30,14 +30,14 @@ CALLS = {
         pmf.identify_modes,
         {"channels": MEASURED, "bands": [0.3, 2.0], "n_modes": None, "quantity": "acceleration"},
         {"bands": NUMERIC, "n_modes": {"None"}, "channels": WITHOUT_GAPS},
-        instead={"pymc_features.identification.identify.of_band": work},
+        instead={"pymc_features.ambient.identify.of_band": work},
         more={"channels": ODD_CHANNELS},
     ),
     "propose_bands": Call(
         pmf.propose_bands,
         {"channels": MEASURED, "highest": None},
         {"highest": {"None", *POSITIVE}, "channels": WITHOUT_GAPS},
-        instead={"pymc_features.identification.propose.averaged_spectra": work},
+        instead={"pymc_features.ambient.identify.averaged_spectra": work},
         more={"channels": ODD_CHANNELS},
     ),
     "plot_singular_values": Call(
@@ -105,9 +105,9 @@ CALLS = {
             "least_mac": FRACTIONS,
         },
         instead={
-            "pymc_features.modal_features.match.evaluate": work,
-            "pymc_features.modal_features.match.evaluate_draws": work,
-            "pymc_features.modal_features.match.match_of": str,
+            "pymc_features.modal_features.feature.evaluate": work,
+            "pymc_features.modal_features.feature.evaluate_draws": work,
+            "pymc_features.modal_features.feature.match_of": str,
         },
     ),
     "ModalFeature": Call(

@@ -1,19 +1,135 @@
-"""The random variable behind `ModalFeature`: its draws, its density, and the assignment in it."""
+"""Matching of identified modes with those of a model: assurance criterion, assignment, and the density in it.
+
+The random variable behind `ModalFeature` has, for each identified mode, the frequency and then the shape.
+"""
 
 import numpy as np
 import pytensor.tensor as pt
+from numpy.typing import ArrayLike
 from pymc.distributions.dist_math import check_parameters
 from pymc.distributions.distribution import SymbolicRandomVariable
 from pymc.distributions.shape_utils import maybe_resize, rv_size_is_none
 from pymc.logprob.abstract import _logprob
 from pymc.pytensorf import normalize_rng_param
-from pytensor.graph.basic import Variable
+from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.op import Op
+from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor import TensorVariable
 from pytensor.tensor.random.utils import normalize_size_param
 
-from pymc_features.modal_features.assignment import Assignment
+from pymc_features._checks import as_numbers
+from pymc_features.ops.numba_dispatch import run_in_python
+from pymc_features.simulators.modal.assignment import assignments
 
-UNMATCHED = -1e30  # stands for a log-density of -inf in sums of which the largest is wanted
+UNMATCHED = -1e30  # stands for a log-density of -inf in sums of which the largest is sought
+
+
+def mac(shapes: ArrayLike, others: ArrayLike) -> np.ndarray:
+    r"""Modal assurance criterion of each pair of shapes.
+
+    .. math:: \mathrm{MAC} = \frac{|\phi^H \hat\phi|^2}{(\phi^H \phi)(\hat\phi^H \hat\phi)}
+
+    One where the shapes are the same up to a factor, real or complex; zero where they are orthogonal. With
+    the best factor a, ``1 - MAC = ||a phi - phi^||^2 / ||phi^||^2``.
+
+    Parameters
+    ----------
+    shapes, others : array_like (m, s), (i, s)
+        One shape in each row; entries that are NaN in either are left out of the pair.
+
+    Returns
+    -------
+    array (m, i)
+        NaN where a pair has no entry in common.
+
+    References
+    ----------
+    R. J. Allemang & D. L. Brown, Proc. 1st Int. Modal Analysis Conf. (1982) 110-116.
+
+    Examples
+    --------
+    >>> mac([[1.0, 2.0], [2.0, -1.0]], [[-2.0, -4.0]])
+    array([[1.],
+           [0.]])
+    """
+    shapes = as_numbers(shapes, "shapes", "Give one shape in each row.", allow_complex=True)
+    others = as_numbers(others, "others", "Give one shape in each row.", allow_complex=True)
+    if shapes.ndim != 2 or others.ndim != 2 or shapes.shape[1] != others.shape[1]:
+        raise ValueError(
+            f"`shapes` and `others` must have rows of equal length, got shapes {shapes.shape} and "
+            f"{others.shape}. Give one shape in each row, at the same channels."
+        )
+    one, two = ~np.isnan(shapes), ~np.isnan(others)
+    a, b = np.where(one, shapes, 0.0), np.where(two, others, 0.0)
+    products = abs(a.conj() @ b.T) ** 2
+    norms = (abs(a) ** 2 @ two.T) * (one @ (abs(b) ** 2).T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(norms > 0.0, products / norms, np.nan)
+
+
+def one_minus_mac(shapes, parts, known):
+    """1 - MAC of each measured shape and each of the model, a tensor (i, m).
+
+    Parameters
+    ----------
+    shapes : tensor (m, s)
+        Of the model, real.
+    parts : list of tensor (i, s)
+        Real, and imaginary, part of the measured shapes, zero where an entry is missing.
+    known : tensor (i, s)
+        1 where an entry is known; rows of zeros are shapes that are missing, and give zero.
+    """
+    products = sum(pt.sqr(pt.dot(part, shapes.T)) for part in parts)
+    own = sum(pt.sum(pt.sqr(part), axis=-1) for part in parts)[:, None]
+    norms = own * pt.dot(known, pt.sqr(shapes).T)
+    there = pt.gt(norms, 0.0)
+    mac = products / pt.switch(there, norms, 1.0)
+    has_shape = pt.gt(pt.sum(known, axis=-1), 0.0)[:, None]
+    return pt.switch(has_shape, pt.switch(there, 1.0 - mac, 1.0), 0.0)
+
+
+class Assignment(Op):
+    """Ones where a row takes a column, each its own, at the largest total score; zeros elsewhere.
+
+    Scores (..., row, column), with any number of leading batch dimensions and rows <= columns; -inf and NaN
+    are taken last. Constant between the points where the best assignment changes: its derivative is zero.
+    """
+
+    __props__ = ()
+
+    def make_node(self, score):
+        score = pt.as_tensor_variable(score).astype("float64")
+        if score.ndim < 2:
+            raise ValueError(f"`score` must be (..., row, column), got {score.ndim} dimensions.")
+        return Apply(self, [score], [score.type()])
+
+    def perform(self, node, inputs, output_storage):
+        [output_storage[0][0]] = self.run(inputs)
+
+    def run(self, inputs) -> tuple[np.ndarray]:
+        """The assignments of arrays."""
+        [score] = inputs
+        rows, columns = score.shape[-2:]
+        if rows > columns:
+            raise ValueError(f"an assignment must have as many columns as rows, got {columns} for {rows}.")
+        cost = np.ascontiguousarray(-score).reshape(-1, rows, columns)
+        return (assignments(cost).reshape(score.shape),)
+
+    def infer_shape(self, node, shapes):
+        return shapes
+
+    def pullback(self, inputs, outputs, cotangents):
+        """Zero."""
+        return [pt.zeros_like(inputs[0])]
+
+
+@_vectorize_node.register(Assignment)
+def vectorize_assignment(op, node, score):
+    """Assign a batch."""
+    return [op(score)]
+
+
+run_in_python(Assignment)
 
 
 class ModalFeatureRV(SymbolicRandomVariable):
@@ -108,7 +224,7 @@ def normalised(rows):
 
 
 def across(rows, unit):
-    """What of rows is orthogonal to rows of length one."""
+    """Part of each row that is orthogonal to rows of length one."""
     return rows - pt.sum(rows * unit, axis=-1, keepdims=True) * unit
 
 

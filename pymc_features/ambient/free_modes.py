@@ -8,7 +8,7 @@ import numpy as np
 from scipy import optimize
 from scipy.linalg import null_space
 
-from pymc_features.ambient.transfer import transfer_functions
+from pymc_features.ambient.bands import transfer_functions
 from pymc_features.simulators.spectra import Lines, SpectralParameters, spectral_gradient
 
 STEP = 1e-4  # of differences of gradients, in coordinates of order one
