@@ -13,8 +13,7 @@ from pytensor.graph.replace import graph_replace
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.random.op import RandomVariable
 
-from pymc_features._checks import as_numbers, masked_as_nan, message
-from pymc_features._checks.messages import warn_caller
+from pymc_features._checks import as_numbers, masked_as_nan, message, warn_caller
 from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.ops import as_tensor, by_labels, check_shape, mean_square_discrepancy, response_step
 
