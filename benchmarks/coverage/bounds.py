@@ -18,11 +18,9 @@ import pymc_features as pmf
 from benchmarks import truth
 from benchmarks.coverage.errors import LEVEL, measurements
 from benchmarks.tables import table
-from pymc_features.calibration.bounds import SHORT, interval
-from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.fit import Predictions
-from pymc_features.calibration.peaks import Peak
-from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.events import SHORT, interval
+from pymc_features.calibration.maxima import Peak, climb_likelihood, peak_at
+from pymc_features.calibration.residuals import Predictions
 
 FULL, QUICK = 1000, 20  # data sets
 RATE, DURATION, KIND = 50.0, 12.0, "AR(1), 0.05 s"  # Hz, s
@@ -77,7 +75,7 @@ def fitted(seed, upper) -> Peak:
     inside = (min(1.0, upper - 1e-3) - LOWEST) / (upper - LOWEST)
     start = np.array([logit(inside), 1.0, 1.0, np.log(LEVEL * np.sqrt(np.mean(response**2)))])
     fit = climb_likelihood(predictions, start)
-    peak = Peak(fit, sandwich(fit.events))
+    peak = peak_at(fit)
     return peak.measured_from_bounds(peak.near_bounds())
 
 
@@ -85,10 +83,9 @@ def bounded(seed, upper) -> Bounded:
     """What is known of the first factor from one data set."""
     peak = fitted(seed, upper)
     rng, size, z = np.random.default_rng([5, seed]), upper - LOWEST, peak.fit.z
-    coordinates = peak.fit.coordinates
-    scale = size * coordinates.own_slopes(z)[0] / coordinates.slopes(z)[0]
-    maximum = LOWEST + size * coordinates.distance(z)[0]
-    free = maximum + scale * (peak.free - peak.fit.w)[0]
+    rooms, ratio = peak.fit.coordinates.rooms(z)
+    scale = size * ratio[0]
+    free = LOWEST + size * rooms[0, 0] + scale * (peak.free - peak.fit.w)[0]
 
     def draws(sd):
         low, high = (np.array([LOWEST, upper]) - free) / sd

@@ -15,10 +15,9 @@ import pymc_features as pmf
 from benchmarks import truth
 from benchmarks.coverage.errors import first_order
 from benchmarks.tables import table
-from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.fit import Predictions
-from pymc_features.calibration.sandwich import LARGEST, growth_of, sandwich, whitening
-from pymc_features.calibration.spectrum import error_model
+from pymc_features.calibration.maxima import climb_likelihood
+from pymc_features.calibration.residuals import Predictions
+from pymc_features.calibration.sandwich import LARGEST, error_model, growth_of, sandwich, whitening
 
 EVENTS, QUICK_EVENTS = 200, 8
 N_PARAMETERS, BLOCKS, LEVEL, WIDE = 4, (2, 3, 5), 4e3, 1.645  # N, standard deviations of 90 %

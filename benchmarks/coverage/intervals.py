@@ -7,9 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.peaks import Peak
-from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.maxima import Peak, climb_likelihood, peak_at
 from pymc_features.calibration.stretched import Stretched, curved
 from pymc_features.smc.proposals.proposal import StudentT
 
@@ -136,7 +134,7 @@ class Calibrated(NamedTuple):
 
     def density(self, log_prior, log_likelihood):
         """Log-density of unconstrained points (n, d), where no parameter is near a bound."""
-        stretched = Stretched(
+        stretched = Stretched.around(
             lambda z: (log_prior(z),),
             lambda z: (None, log_likelihood(z), np.zeros(len(z), dtype=bool)),
             self.peak,
@@ -147,7 +145,7 @@ class Calibrated(NamedTuple):
 def calibrated(predictions, z, n_parameters, model_error="bands") -> Calibrated:
     """The steps of `calibrate` for a likelihood with its maximum near z (d,)."""
     fit = climb_likelihood(predictions, z)
-    peak = Peak(fit, sandwich(fit.events, model_error))
+    peak = peak_at(fit, model_error)
     peak, _ = curved(predictions, peak.measured_from_bounds(peak.near_bounds()))
     result = peak.sandwich
     claims, covariance = (m[:n_parameters, :n_parameters] for m in (result.claims, result.covariance))

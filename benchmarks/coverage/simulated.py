@@ -5,15 +5,14 @@ import numpy as np
 import pymc_features as pmf
 from benchmarks.coverage.chain import N_FACTORS, PRIOR_WIDTH, structure
 from benchmarks.coverage.intervals import calibrated, of_density
-from pymc_features.calibration.comparison import Comparison
-from pymc_features.calibration.coordinates import Coordinates
+from pymc_features.calibration.residuals import Comparison, Coordinates
 from pymc_features.study.settings import computed_sums
 
 LARGEST = 10.0  # |ln theta| that is tried
 
 
 class Predictions:
-    """What `pymc_features.calibration.fit` asks of a model: NORM with ln theta (3,) and ln sigma."""
+    """What `pymc_features.calibration.residuals` asks of a model: NORM with ln theta (3,) and ln sigma."""
 
     def __init__(self, record, data, dt):
         self.record, self.data, self.dt = record, data, dt

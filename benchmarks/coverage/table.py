@@ -20,7 +20,7 @@ from benchmarks.coverage.errors import ERRORS, LEVEL, measurements
 from benchmarks.coverage.intervals import calibrated, of_density
 from benchmarks.coverage.wide import pool_of, sums, wide_intervals
 from benchmarks.tables import table
-from pymc_features.calibration.fit import Predictions, events_at
+from pymc_features.calibration.residuals import Predictions, events_at
 from pymc_features.smc import population_logp
 
 FULL, FULL_TEN, QUICK = 1000, 400, 20  # data sets

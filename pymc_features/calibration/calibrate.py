@@ -18,12 +18,11 @@ from pymc_features._checks import (
     check_positive,
     check_seed,
 )
-from pymc_features.calibration.bounds import bell, warn_beyond
 from pymc_features.calibration.effective import described
-from pymc_features.calibration.fit import Predictions
-from pymc_features.calibration.peaks import Peak, distinct_peaks, some_draws
+from pymc_features.calibration.maxima import Peak, distinct_peaks, some_draws
+from pymc_features.calibration.residuals import Predictions
 from pymc_features.calibration.sandwich import sandwich, sentence, whitening
-from pymc_features.calibration.stretched import Stretched, StretchedSMC, curved, prior_and_likelihood
+from pymc_features.calibration.stretched import Stretched, StretchedSMC, bell, curved, prior_and_likelihood
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
 from pymc_features.inference.parameters import posterior_for, to_unconstrained
 from pymc_features.inference.sample import Search, sample_from
@@ -38,6 +37,7 @@ CHECKED, UNEXPLAINED = 40, 3.0  # of these, and residuals over their sigma that 
 STAGE_DRAWS = 600  # of draws by an expansion, which cost hardly anything
 NO_CLIMBS = "the maximum was known"
 WORTH = 0.9  # of draws that are weighed, below which they are not used
+WANTED = 2.0  # standard deviations beyond a bound that make a warning
 KEPT = 100  # draws at a time of which a checkpoint keeps the likelihood
 
 
@@ -82,7 +82,7 @@ def calibrate(
         as wide at least as it makes them. Frequency bands, which disagree under such noise, are not compared
         then.
     **settings
-        Of `sample`.
+        Of `sample`. A `checkpoint` keeps all predictions.
 
     Returns
     -------
@@ -102,18 +102,15 @@ def calibrate(
 
     Warns
     -----
-    CalibrationWarning
-        If errors persist for more than a fifth of the record, or a quarter of the draws are far from the
-        maximum.
-    SamplingWarning
-        As from `sample`.
+    CalibrationWarning, SamplingWarning
+        If errors persist for more than a fifth of the record, a quarter of the draws are far from the
+        maximum, or the data want a parameter beyond its prior; and as from `sample`.
 
     Notes
     -----
     Draws are those of the likelihood's expansion by second derivatives of residuals and scales at its
     maximum, weighed by the likelihood itself: one prediction for each draw. Where weights are uneven, or more
-    than 15 parameters change the response, the likelihood is sampled as by `sample`. A `checkpoint` keeps
-    the predictions of both.
+    than 15 parameters change the response, the likelihood is sampled as by `sample`.
 
     Modes that lie more than some standard deviations apart are calibrated each by itself. Each has the
     evidence of its stretched likelihood, but the ratio of the maxima is raised to the power of the highest,
@@ -156,16 +153,13 @@ def calibrate(
         if workers is not None:
             likelihood, settings["cores"] = workers.run().of(likelihood), 1
         for i, (peak, expansion) in enumerate(zip(peaks, expansions, strict=True)):
-            target = Stretched(prior, likelihood, peak, peaks[:i] + peaks[i + 1 :])
-            found = described(predictions, peak)
-            found = found.assign(leverage=("parameter", leverage(peak)))
+            found = described(predictions, peak).assign(leverage=("parameter", leverage(peak)))
             warn_beyond(found)
-            reference = bell(model, peak, rng)
-            sampled = calibrated_mode(predictions, target, expansion, reference, i, settings, rng)
+            target = Stretched.around(prior, likelihood, peak, peaks[:i] + peaks[i + 1 :])
+            search = Search(bell(model, peak, rng), 0, 0, NO_CLIMBS)
+            sampled = calibrated_mode(predictions, target, expansion, search, i, settings, rng)
             sampled["calibration"] = xr.DataTree(found)
-            some = some_draws(model, sampled["posterior"].to_dataset(), LOOKED_AT)
-            warn_if_far(some, peak)
-            check_explained(predictions, some, peak)
+            check_draws(predictions, sampled["posterior"].to_dataset(), peak)
             parts.append(sampled)
     calibrated = pooled(parts, peaks, rng)
     calibrated.attrs["calibration"] = json.dumps(table(calibrated["calibration"].to_dataset()))
@@ -177,25 +171,22 @@ def calibrate(
     return calibrated
 
 
-def calibrated_mode(
-    predictions, target: Stretched, expansion, reference, number, settings, rng
-) -> xr.DataTree:
+def calibrated_mode(predictions, target: Stretched, expansion, found, number, settings, rng) -> xr.DataTree:
     """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own.
 
-    The first draws are those of a `reference`. What a checkpoint keeps of it is in a file of its `number`.
+    The first draws are those `found`. What a checkpoint keeps of it is in a file of its `number`.
     """
-    found, idata = Search(reference, 0, 0, NO_CLIMBS), None
-    model, space = predictions.model, predictions.space
-    own, kept = settings | {"kernel": StretchedSMC}, settings.get("checkpoint")
+    model, space, kept, idata = predictions.model, predictions.space, settings.get("checkpoint"), None
+    settings = settings | {"kernel": StretchedSMC}
     if expansion is not None:
-        guess = target.by(expansion)
-        cheap = {"stage_draws": STAGE_DRAWS} | own | {"checkpoint": None, "cores": 1, "logp": guess}
+        guess = target._replace(likelihood=expansion)
+        cheap = {"stage_draws": STAGE_DRAWS} | settings | {"checkpoint": None, "cores": 1, "logp": guess}
         idata = sample_from(found, model, space, **cheap)
         kept = None if kept is None else Path(kept) / f"calibrated_{number}.record"
         idata = weighed(model, idata, guess, target, kept, rng)
     if idata is None:
-        idata = sample_from(found, model, space, **own, logp=target)
-    idata["sample_stats"].attrs |= {"power": target.power}
+        idata = sample_from(found, model, space, **settings, logp=target)
+    idata["sample_stats"].attrs["power"] = target.power
     return idata
 
 
@@ -222,12 +213,10 @@ def weighed(model, idata, guess: Stretched, target: Stretched, checkpoint, rng) 
     stats, first = idata["sample_stats"].to_dataset(), idata["sample_stats"]["stage"] == 0
     evidences = stats["log_marginal_likelihood"] + logs.max(axis=1) + np.log(mean)
     counts = {"evaluations": value.shape[1], "failed": failed.sum(axis=1)[:, None]}
-    own = {name: (0.0 * stats[name]).where(~first, count) for name, count in counts.items()}
-    stats = stats.assign(log_marginal_likelihood=evidences, ess=stats["ess"] * worth, **own)
-    stats.attrs |= {
-        "log_evidence": float(np.logaddexp.reduce(evidences.values) - np.log(len(evidences))),
-        "ess": float(stats["ess"].sum()),
-    }
+    counts = {name: (0.0 * stats[name]).where(~first, count) for name, count in counts.items()}
+    stats = stats.assign(log_marginal_likelihood=evidences, ess=stats["ess"] * worth, **counts)
+    log_evidence = np.logaddexp.reduce(evidences.values) - np.log(len(evidences))
+    stats.attrs |= {"log_evidence": float(log_evidence), "ess": float(stats["ess"].sum())}
     idata["sample_stats"] = xr.DataTree(stats)
     return idata
 
@@ -279,8 +268,23 @@ def chosen(posterior, place, **more) -> xr.DataTree:
     return xr.DataTree(draws.assign_coords({name: posterior[name] for name in ("chain", "draw")}))
 
 
-def warn_if_far(draws, peak: Peak):
-    """Warn if many draws (n, d) are far from the maximum at which the residuals have decided the width."""
+def warn_beyond(found):
+    """Warn of parameters that the data want beyond a bound of their prior, see `effective_samples`."""
+    rows = (found[name].values for name in ("parameter", "bound", "point", "room"))
+    for name, bound, point, room in zip(*rows, strict=True):
+        if room < -WANTED:
+            warnings.warn(
+                f"the data want {name} {'above' if point <= bound else 'below'} {bound:.4g}, the edge of its "
+                f"prior, by {-room:.2g} standard deviations: its interval is what the prior leaves of them. "
+                "Widen the prior, or look for what the model lacks.",
+                CalibrationWarning,
+                stacklevel=3,
+            )
+
+
+def check_draws(predictions, posterior, peak: Peak):
+    """Warn if many draws are far from the maximum, and refuse those that do not explain the data."""
+    draws = some_draws(predictions.model, posterior, LOOKED_AT)
     n_directions = whitening(peak.sandwich.information).shape[1]
     away = np.mean(peak.distance(draws) ** 2 > FAR * n_directions)
     if away > MANY:
@@ -291,10 +295,6 @@ def warn_if_far(draws, peak: Peak):
             CalibrationWarning,
             stacklevel=3,
         )
-
-
-def check_explained(predictions, draws, peak: Peak):
-    """Refuse draws (n, d) whose residuals are larger than their own sigma, and their width, allow."""
     values = [predictions(z) for z in draws[:: max(1, len(draws) // CHECKED)]]
     squares = [sum(np.sum(v.residuals**2) for v in x) / sum(v.claimed.sum() for v in x) for x in values]
     wide = 1.0 + np.trace(peak.sandwich.claims @ peak.sandwich.variability) / peak.fit.squares
@@ -317,8 +317,6 @@ def table(found: xr.Dataset) -> dict:
     """What made the intervals of the heaviest mode as wide as they are, of each parameter and of all."""
     if "mode" in found.dims:
         found = found.isel(mode=int(found["weight"].values.argmax()))
-    rows = found[["standard_deviation", "leverage", "near_bound", "bound", "room"]].to_dataframe()
-    rows = {
-        name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.T.to_dict().items()
-    }
+    rows = found[["standard_deviation", "leverage", "near_bound", "bound", "room"]].to_dataframe().T.to_dict()
+    rows = {name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.items()}
     return {"growth": found.attrs["growth"], "sentence": sentence(found.attrs["growth"]), "parameters": rows}

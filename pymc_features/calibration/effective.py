@@ -8,9 +8,8 @@ import xarray as xr
 from pytensor.graph.basic import Constant
 
 from pymc_features._checks import check_group, check_model, check_seed
-from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.fit import Event, Predictions
-from pymc_features.calibration.peaks import Peak, best_fit, starting_points
+from pymc_features.calibration.maxima import Peak, best_fit, climb_likelihood, peak_at, starting_points
+from pymc_features.calibration.residuals import Event, Predictions
 from pymc_features.calibration.sandwich import directions, known, sandwich
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import coordinate_names
@@ -18,7 +17,6 @@ from pymc_features.likelihoods.declaration import warn_about_variance
 from pymc_features.likelihoods.mean_square import GammaFeatureRV, RequireDegrees
 
 SHORT = 5.0  # time constants of the errors that a record must be long
-BEYOND = 800.0  # unconstrained, so far out that the bound itself is what is meant
 FIRST = 2.0  # degrees of freedom of the first fit of `fill_degrees`: those of EXP
 TINY = np.finfo(float).tiny
 
@@ -30,7 +28,7 @@ def effective_samples(
 
     At the maximum of the likelihood the score, the sum of sensitivities times residuals, would vary as much
     as the likelihood claims (A) if the errors were what it takes them for. How much it does vary (B) is
-    estimated from the residuals, over time and across sensors (``pymc_features.calibration.spectrum``). In a
+    estimated from the residuals, over time and across sensors (``pymc_features.calibration.sandwich``). In a
     direction v of the parameters the residuals support m v' A^-1 v / v' A^-1 B A^-1 v independent
     observations, where the likelihood claims m: all samples under NORM, two for each sensor under EXP, one
     under TN.
@@ -58,10 +56,9 @@ def effective_samples(
         bounds to it, negative beyond; and `changes_response`. Over `direction`, ascending: `n_eff_direction`
         and `direction_vector` (direction, parameter). The matrices `information` A, `variability` B and
         `covariance` A^-1 B A^-1 ``(parameter, parameter_)``, NaN for parameters that no likelihood knows of.
-        Attributes: `n_eff` (geometric mean of the directions of the response), `growth` (by how much
-        frequency bands disagree about the parameters, NaN without natural frequencies; widths contain it up
-        to 2), `claimed` (of all sensors), `n_evaluations` (predictions of the fit: each set of sensitivities
-        to d parameters takes d far from the maximum, and 2 d near it).
+        Attributes: `n_eff` (geometric mean of the directions), `growth` (by how much frequency bands disagree
+        about the parameters, NaN without natural frequencies; widths contain it up to 2), `claimed` (of all
+        sensors), `n_evaluations` (predictions of the fit).
 
     Raises
     ------
@@ -76,27 +73,24 @@ def effective_samples(
 
     Notes
     -----
-    What is the same all along the record and in every event, a bias of the model, cannot be seen from
-    residuals. A correlation time that is inferred is left as its likelihood has it.
-
-    Samples in gaps of the data add nothing to the score. Where it is estimated how errors vary, residuals
-    beside a gap stand in for those in it; intervals cover as often as without gaps.
+    A bias of the model, the same all along the record and in every event, cannot be seen from residuals. A
+    correlation time that is inferred is left as its likelihood has it. Samples in gaps add nothing to the
+    score; where it is estimated how errors vary, residuals beside a gap stand in for those in it.
 
     References
     ----------
-    Godambe, Ann. Math. Stat. 31, 1960; Ribatet, Cooley & Davison, Stat. Sin. 22, 2012; Andrews & Monahan,
-    Econometrica 60, 1992.
+    Godambe, Ann. Math. Stat. 31, 1960; Andrews & Monahan, Econometrica 60, 1992.
     """
     check_seed(random_seed)
+    starts = None
     if isinstance(source, pm.Model):
-        model, starts = check_model(source), None
+        model = check_model(source)
     else:
         check_group(source, "source", "posterior", "Or pass a model, for a fit without draws.")
         model = check_model(model)
         starts = starting_points(model, source, "source")
     predictions = Predictions(model)
-    fit = best_fit(predictions, starts, np.random.default_rng(random_seed))
-    return described(predictions, Peak(fit, sandwich(fit.events)))
+    return described(predictions, peak_at(best_fit(predictions, starts, np.random.default_rng(random_seed))))
 
 
 def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = None) -> xr.Dataset:
@@ -162,16 +156,15 @@ def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = Non
         sigma = rv.owner.inputs[3]
         if not isinstance(sigma, Constant):
             warn_about_variance("GammaFeature", data.get_value().ravel(), sigma)
-    return described(predictions, Peak(fit, sandwich(fit.events)))
+    return described(predictions, peak_at(fit))
 
 
 def degrees_of(model) -> dict:
     """Data of the degrees of freedom that residuals decide, by random variable."""
-    found = {}
-    for rv in model.observed_RVs:
-        m = rv.owner.inputs[-1] if isinstance(rv.owner.op, GammaFeatureRV) else None
-        if m is not None and m.owner is not None and isinstance(m.owner.op, RequireDegrees):
-            found[rv] = m.owner.inputs[0]
+    ms = {rv: rv.owner.inputs[-1] for rv in model.observed_RVs if isinstance(rv.owner.op, GammaFeatureRV)}
+    found = {
+        rv: m.owner.inputs[0] for rv, m in ms.items() if m.owner and isinstance(m.owner.op, RequireDegrees)
+    }
     if not found:
         names = ", ".join(rv.name for rv in model.observed_RVs) or "no likelihood"
         raise ValueError(
@@ -209,44 +202,45 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     of_response = sum(event.of_response for event in fit.events)
     if not known(of_response).size:
         raise ValueError("`model` must have parameters that change the response, got none.")
+    warn_of_short_records(fit, result)
     values, vectors = directions(of_response, result.of_response)
     n_direction = fit.squares / values[::-1].clip(min=TINY)
-    of_bounds, units = own_scale(predictions, peak)
-    unknown = np.setdiff1d(np.arange(len(units)), known(result.information))
-    square = np.outer(units, units)
-    claims, covariance = result.claims * square, result.covariance * square
-    for matrix in (claims, covariance):
-        matrix[unknown], matrix[:, unknown] = np.nan, np.nan
-    warn_of_short_records(fit, result)
-    steps = [np.full(len(event.residuals), event.value.step) for event in fit.events]
-    times = [model.memory * step for model, step in zip(result.models, steps, strict=True)]
     along = vectors.T[::-1] / np.linalg.norm(vectors.T[::-1], axis=1, keepdims=True)
-    square_matrix, names = ("parameter", "parameter_"), coordinate_names(predictions.model, predictions.space)
+    of_bounds, units = own_scale(predictions, peak)
+    square, every = np.outer(units, units), np.arange(len(units))
+    told = np.where(np.isin(every, known(result.information)), 1.0, np.nan)
+    claims, covariance = (m * square * np.outer(told, told) for m in (result.claims, result.covariance))
+    of_sensors = [
+        {
+            "n_eff": sensors_n_eff(event),
+            "claimed": event.value.claimed,
+            "time_constant": np.full(len(event.residuals), event.value.step * model.memory),
+            "follows_response": model.follows_response,
+        }
+        for event, model in zip(fit.events, result.models, strict=True)
+    ]
+    variables = {
+        "sensor": {name: np.concatenate([one[name] for one in of_sensors]) for name in of_sensors[0]},
+        "parameter": {
+            "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
+            "standard_deviation": np.sqrt(np.diag(covariance)),
+            "claimed_standard_deviation": np.sqrt(np.diag(claims)),
+            "changes_response": np.isin(every, known(of_response)),
+            **of_bounds,
+        },
+        ("parameter", "parameter_"): {
+            "information": result.information / square,
+            "variability": result.variability / square,
+            "covariance": covariance,
+        },
+        "direction": {"n_eff_direction": n_direction},
+        ("direction", "parameter"): {"direction_vector": along},
+    }
+    names = coordinate_names(predictions.model, predictions.space)
+    sensors = [f"{e.value.name}[{j}]" for e in fit.events for j in range(len(e.residuals))]
     return xr.Dataset(
-        {
-            "n_eff": ("sensor", np.concatenate([sensors_n_eff(event) for event in fit.events])),
-            "claimed": ("sensor", np.concatenate([event.value.claimed for event in fit.events])),
-            "time_constant": ("sensor", np.concatenate(times)),
-            "follows_response": (
-                "sensor",
-                np.concatenate([model.follows_response for model in result.models]),
-            ),
-            "n_eff_parameter": ("parameter", fit.claimed * np.diag(claims) / np.diag(covariance)),
-            "standard_deviation": ("parameter", np.sqrt(np.diag(covariance))),
-            "claimed_standard_deviation": ("parameter", np.sqrt(np.diag(claims))),
-            "changes_response": ("parameter", np.isin(np.arange(len(units)), known(of_response))),
-            **{name: ("parameter", x) for name, x in of_bounds.items()},
-            "information": (square_matrix, result.information / square),
-            "variability": (square_matrix, result.variability / square),
-            "covariance": (square_matrix, covariance),
-            "n_eff_direction": ("direction", n_direction),
-            "direction_vector": (("direction", "parameter"), along),
-        },
-        {
-            "parameter": names,
-            "parameter_": names,
-            "sensor": [f"{e.value.name}[{j}]" for e in fit.events for j in range(len(e.residuals))],
-        },
+        {name: (dims, x) for dims, some in variables.items() for name, x in some.items()},
+        {"parameter": names, "parameter_": names, "sensor": sensors},
         {
             "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
             "claimed": fit.claimed,
@@ -258,17 +252,17 @@ def described(predictions, peak: Peak) -> xr.Dataset:
 
 def own_scale(predictions, peak: Peak) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """What is said of parameters (d,) near a bound, on their own scale, and units of coordinates there."""
-    coordinates, near = peak.fit.coordinates, peak.fit.coordinates.near
-    far = np.where(coordinates.sides == 2, BEYOND, coordinates.origin)
-    values = predictions.space.variables(np.where(near, [np.full(len(far), -BEYOND), far], peak.fit.z))
-    low, high = np.hstack([values[rv.name].reshape(2, -1) for rv in predictions.model.free_RVs])
-    units = np.where(near, high - low, 1.0)
-    to_low, to_high = (peak.free - coordinates.limits) / peak.deviations * [[1.0], [-1.0]]
+    sides, near, origin = peak.fit.coordinates
+    low, high = predictions.bounds(predictions.space.split(peak.fit.z))
+    first = np.where(np.isfinite(low), low, high)  # the lower bound, or the only one
+    one = np.exp(np.where(sides == 1, origin, 0.0)) * np.where(first == low, 1.0, -1.0)
+    units = np.where(near, np.where(sides == 2, high - low, one), 1.0)
+    to_first, to_last = peak.rooms
     found = {
-        "point": np.where(near, low + units * peak.fit.w, peak.fit.w),
+        "point": np.where(near, first + units * peak.fit.w, peak.fit.w),
         "near_bound": near,
-        "bound": np.where(near, np.where(to_low < to_high, low, high), np.nan),
-        "room": np.where(near, np.minimum(to_low, to_high), np.nan),
+        "bound": np.where(near, np.where(to_first < to_last, first, high), np.nan),
+        "room": np.where(near, np.minimum(to_first, to_last), np.nan),
     }
     return found, units
 

@@ -1,4 +1,4 @@
-"""Whether the posteriors of several events can be of one structure, and how far they are apart."""
+"""Intervals of one posterior, and whether those of several events can be of one structure."""
 
 from collections.abc import Sequence
 
@@ -11,6 +11,9 @@ from pymc_features._checks import check_finite, check_group, check_share, check_
 
 IMPROBABLE = 0.05  # p-value below which events are said to disagree
 FEWEST_DRAWS = 20
+SHORT = 2.0  # standard deviations from a bound within which the shortest interval is given: beyond, equal
+# tails hardly differ from it, and nearer they never contain the bound
+FEW = 0.01  # of the draws between an interval and a bound: the interval ends at the bound
 
 
 def event_check(
@@ -18,8 +21,8 @@ def event_check(
 ) -> xr.Dataset:
     """Compare the posteriors that several events give of the same parameters.
 
-    Residuals do not show an error that is the same all along a record: a wrong model leads each event to
-    another value. With posterior means x_e and variances v_e of E events,
+    Residuals do not show an error that is the same all along a record: it leads each event to another value.
+    With posterior means x_e and variances v_e of E events,
 
         Q = sum_e (x_e - m)^2 / v_e,    m = sum_e (x_e / v_e) / sum_e (1 / v_e),
 
@@ -46,11 +49,6 @@ def event_check(
         `p_value`, `growth`, `scatter` tau, `centre`, `lower` and `upper`. Attributes: the joint `p_value` and
         `growth` of all parameters with their correlations, `compatible` (p-value of at least 0.05) and
         `message`, a sentence.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If there are fewer than two posteriors, they have no variable in common, or other shapes of it.
 
     Notes
     -----
@@ -85,8 +83,8 @@ def event_check(
     return xr.Dataset(
         {"mean": (over, means), "standard_deviation": (over, variances**0.5)}
         | {name: ("parameter", np.array([one[name] for one in apart])) for name in apart[0]},
-        coords={"event": np.arange(n), "parameter": names},
-        attrs={
+        {"event": np.arange(n), "parameter": names},
+        {
             "p_value": p_value,
             "growth": growth,
             "compatible": int(p_value >= IMPROBABLE),
@@ -129,14 +127,16 @@ def joint_q(means, covariances) -> float:
 
 
 def common_draws(events, var_names) -> list[dict[str, np.ndarray]]:
-    """Draws of the same parameters, by name, of each event."""
+    """Draws (draw,) of the same scalars, by name, of each event."""
+    from arviz_base import labels, xarray_var_iter  # slow to import
+
     if isinstance(events, xr.DataTree) or not isinstance(events, Sequence) or len(events) < 2:
         raise TypeError(
             "`events` must be a sequence of two or more posteriors, got "
             f"{len(events) if isinstance(events, Sequence) else type(events).__name__}. Pass for example "
             "[idata_1, idata_2]."
         )
-    advice = "That is event {}. Pass what `sample` returned."
+    advice, label = "That is event {}. Pass what `sample` returned.", labels.BaseLabeller().make_label_flat
     posteriors = [
         check_group(event, "events", "posterior", advice.format(i), "chain", "draw")
         for i, event in enumerate(events)
@@ -145,7 +145,17 @@ def common_draws(events, var_names) -> list[dict[str, np.ndarray]]:
         var_names = [name for name in posteriors[0] if all(tells(event, name) for event in events)]
     else:
         var_names = check_texts(var_names, "var_names", "names of variables")
-    draws = [by_name(posterior, i, var_names) for i, posterior in enumerate(posteriors)]
+    draws = []
+    for i, posterior in enumerate(posteriors):
+        if missing := [name for name in var_names if name not in posterior.data_vars]:
+            raise ValueError(f"`var_names` must be in every posterior, got no {missing[0]} in event {i}.")
+        if posterior.sizes["chain"] * posterior.sizes["draw"] < FEWEST_DRAWS:
+            raise ValueError(f"`events` must have at least {FEWEST_DRAWS} draws, got fewer in event {i}.")
+        some = posterior[list(var_names)].transpose("chain", "draw", ...)
+        scalars = xarray_var_iter(some, skip_dims={"chain", "draw"})
+        draws.append({label(name, at, place): x.ravel() for name, at, place, x in scalars})
+        for name, x in draws[-1].items():
+            check_finite(x, "var_names", f"Those are draws of {name} in event {i}.")
     if not draws[0] or any(list(x) != list(draws[0]) for x in draws):
         raise ValueError(
             "`events` must have parameters in common, with one shape, got "
@@ -162,22 +172,18 @@ def tells(event, name) -> bool:
     return bool(known.isel(parameter=[str(x).split("[")[0] == name for x in known["parameter"].values]).any())
 
 
-def by_name(posterior, i, var_names) -> dict[str, np.ndarray]:
-    """Draws (draw,) of each scalar of some variables."""
-    from arviz_base import labels, xarray_var_iter  # slow to import
-
-    for name in var_names:
-        if name not in posterior.data_vars:
-            raise ValueError(f"`var_names` must be in every posterior, got no {name} in event {i}.")
-        if posterior[name].dtype.kind not in "iuf" or not {"chain", "draw"} <= set(posterior[name].dims):
-            raise ValueError(
-                f"`var_names` must be numbers along chain and draw, got {name} of type "
-                f"{posterior[name].dtype} along {', '.join(map(str, posterior[name].dims))} in event {i}."
-            )
-        check_finite(posterior[name].values, "var_names", f"Those are draws of {name} in event {i}.")
-    if posterior.sizes["chain"] * posterior.sizes["draw"] < FEWEST_DRAWS:
-        raise ValueError(f"`events` must have at least {FEWEST_DRAWS} draws, got fewer in event {i}.")
-    some = posterior.transpose("chain", "draw", ...)[list(var_names)]
-    label = labels.BaseLabeller().make_label_flat
-    scalars = xarray_var_iter(some, skip_dims={"chain", "draw"})
-    return {label(name, at, place): x.ravel() for name, at, place, x in scalars}
+def interval(draws, probability=0.9, bound=None) -> tuple[float, float]:
+    """Equal-tailed interval of draws (n,), or, next to a bound, the shortest: an equal-tailed one never
+    contains the bound.
+    """
+    if bound is None:
+        return tuple(map(float, np.quantile(draws, [0.5 - 0.5 * probability, 0.5 + 0.5 * probability])))
+    x = np.sort(draws)
+    n = int(np.ceil(probability * len(x)))
+    first = int(np.argmin(x[n - 1 :] - x[: len(x) - n + 1]))
+    low, high = x[first], x[first + n - 1]
+    if bound >= high and np.mean((x > high) & (x < bound)) < FEW:
+        high = bound
+    if bound <= low and np.mean((x > bound) & (x < low)) < FEW:
+        low = bound
+    return float(low), float(high)

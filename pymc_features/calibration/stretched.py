@@ -15,45 +15,58 @@ that of the others given d_b is the stretched likelihood at the maximum's w_b:
 with m(d_b) = P_ff^-1 (h_f - P_fb d_b). No likelihood is evaluated outside the prior.
 """
 
-import copy
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytensor.tensor as pt
+from scipy.special import ndtr, ndtri_exp
+from scipy.stats import truncnorm
 
-from pymc_features.calibration.comparison import log_likelihood
-from pymc_features.calibration.coordinates import Coordinates
-from pymc_features.calibration.peaks import Peak
+from pymc_features.calibration.maxima import Peak
+from pymc_features.calibration.residuals import Coordinates, log_likelihood
 from pymc_features.calibration.sandwich import stretching, whitening
-from pymc_features.smc import PersistentSMC, population_logp
+from pymc_features.smc import PersistentSMC, Reference, population_logp, prior_points
+from pymc_features.smc.proposals.reference import Mode
 
 CURVED = 0.1  # standard deviations over which curvature is measured
 MOST_EXPANDED = 15  # directions in which residuals are expanded: 136 histories are kept for each sensor
 FARTHEST = 1e4  # from the maximum: unconstrained values that rounding has made infinite are there
+PRIOR_DRAWS = 500  # that tell the width of the prior
 
 
-class Stretched:
+class Stretched(NamedTuple):
     """Log prior and calibrated log-likelihood around a maximum, evaluated as `PopulationLogp` is.
 
     `prior` and `likelihood` have the first and the second result of that. What is nearer to the peak of one
     of `others`, in standard deviations, has no likelihood here.
     """
 
-    def __init__(self, prior, likelihood, peak, others=()):
-        self.prior, self.likelihood = prior, likelihood
-        self.peak, *self.others = (p._replace(fit=p.fit._replace(events=[])) for p in (peak, *others))
+    prior: Any
+    likelihood: Any
+    peak: Peak
+    others: list[Peak]
+    power: float
+    origin: np.ndarray  # point (d,) and matrix (d, d): where the likelihood is evaluated instead
+    matrix: np.ndarray
+    slope: np.ndarray  # h and Q of parameters near a bound, (d,) and (d, d), see above
+    bend: np.ndarray
+
+    @classmethod
+    def around(cls, prior, likelihood, peak, others=()) -> "Stretched":
+        """Stretch a likelihood around one of some peaks."""
         near, wanted, off = peak.fit.coordinates.near, peak.sandwich.precision, peak.free - peak.fit.w
         f, b, pushed = np.flatnonzero(~near), np.flatnonzero(near), wanted @ off
         whiten = whitening(wanted[np.ix_(f, f)])
         follow = -whiten @ whiten.T @ wanted[np.ix_(f, b)]
-        self.power, stretch = stretching(peak.sandwich.information[np.ix_(f, f)], wanted[np.ix_(f, f)])
-        self.origin, self.slope = peak.fit.w.copy(), np.zeros(len(near))
-        self.matrix, self.bend = np.zeros((2, len(near), len(near)))
-        self.origin[f] -= stretch @ (off[f] - follow @ off[b])
-        self.matrix[np.ix_(f, f)], self.matrix[np.ix_(f, b)] = stretch, -stretch @ follow
-        self.slope[b] = pushed[b] + follow.T @ pushed[f]
-        self.bend[np.ix_(b, b)] = wanted[np.ix_(b, b)] + wanted[np.ix_(b, f)] @ follow
+        power, stretch = stretching(peak.sandwich.information[np.ix_(f, f)], wanted[np.ix_(f, f)])
+        origin, slope, (matrix, bend) = peak.fit.w.copy(), 0.0 * off, np.zeros((2, *wanted.shape))
+        origin[f] -= stretch @ (off[f] - follow @ off[b])
+        matrix[np.ix_(f, f)], matrix[np.ix_(f, b)] = stretch, -stretch @ follow
+        slope[b] = pushed[b] + follow.T @ pushed[f]
+        bend[np.ix_(b, b)] = wanted[np.ix_(b, b)] + wanted[np.ix_(b, f)] @ follow
+        peak, *others = (p._replace(fit=p.fit._replace(events=[])) for p in (peak, *others))
+        return cls(prior, likelihood, peak, others, power, origin, matrix, slope, bend)
 
     def __call__(self, z):
         """Log prior, log-likelihood and failures, each (n,), of unconstrained points (n, d)."""
@@ -66,15 +79,9 @@ class Stretched:
             value = np.where(nearest, value, -np.inf)
         return self.prior(z)[0], value, failed
 
-    def by(self, likelihood) -> "Stretched":
-        """Return the target by another likelihood."""
-        other = copy.copy(self)
-        other.likelihood = likelihood
-        return other
-
     def with_rng(self, rng) -> "Stretched":
         """Take random streams of its own where numbers are drawn inside."""
-        return self.by(self.likelihood.with_rng(rng))
+        return self._replace(likelihood=self.likelihood.with_rng(rng))
 
     @property
     def last_error(self) -> str:
@@ -188,3 +195,57 @@ def second_order(value, w, axes) -> np.ndarray:
             both = value(w + axes[i] + axes[j]) + value(w - axes[i] - axes[j])
             pairs.append(0.5 * both - here - middle[i] - middle[j])
     return np.array([here, *(0.5 * (ends[0] - ends[1])), *pairs])
+
+
+class CutNormal(NamedTuple):
+    """Map between unconstrained points z (n, d) and standard normal ones u (n, d).
+
+    Coordinates near a bound are normal, each by itself, and cut off there; the others follow them.
+    """
+
+    coordinates: Coordinates
+    mean: np.ndarray  # of the normal distribution of all coordinates (d,)
+    deviations: np.ndarray  # standard deviations of those near a bound (b,)
+    follow: np.ndarray  # how the others change with those (f, b)
+    factor: np.ndarray  # Cholesky factor of the covariance of the others, given those (f, f)
+
+    @property
+    def cut(self):
+        """Distributions (b,) of coordinates near a bound, in standard deviations from the mean."""
+        ends = self.coordinates.limits - self.mean
+        return truncnorm(*(ends[:, self.coordinates.near] / self.deviations))
+
+    def forward(self, z):
+        """u (n, d), and ln |du/dz| (n,)."""
+        near, w, cut = self.coordinates.near, self.coordinates.of(z), self.cut
+        u, off = np.empty_like(w), w - self.mean
+        x = np.clip(off[:, near] / self.deviations, *cut.support())
+        u[:, near] = ndtri_exp(cut.logcdf(x))
+        u[:, ~near] = np.linalg.solve(self.factor, (off[:, ~near] - off[:, near] @ self.follow.T).T).T
+        slopes = 0.5 * (u[:, near] ** 2 + np.log(2.0 * np.pi)) + cut.logpdf(x) - np.log(self.deviations)
+        slopes += np.log(self.coordinates.slopes(z)[:, near])
+        return u, slopes.sum(axis=1) - np.log(np.diag(self.factor)).sum()
+
+    def inverse(self, u):
+        """z (n, d)."""
+        near, w = self.coordinates.near, self.mean + np.zeros_like(u)
+        x, cut = u[:, near], self.cut
+        w[:, near] += self.deviations * np.where(x > 0.0, cut.isf(ndtr(-x)), cut.ppf(ndtr(x)))
+        w[:, ~near] += (w - self.mean)[:, near] @ self.follow.T + u[:, ~near] @ self.factor.T
+        return self.coordinates.unconstrained(w)
+
+
+def bell(model, peak: Peak, rng) -> Reference:
+    """The calibrated likelihood as it is expected, with the width of the prior where there is no other."""
+    prior = prior_points(model, PRIOR_DRAWS, rng)
+    centre, scale = prior.mean(axis=0), prior.std(axis=0)
+    coordinates, mean, precision = peak.fit.coordinates, peak.free, peak.sandwich.precision
+    f, b = np.flatnonzero(~coordinates.near), np.flatnonzero(coordinates.near)
+    covariance = np.linalg.inv(precision[np.ix_(f, f)] + np.diag(scale[f] ** -2.0))
+    mean[f] += covariance @ ((centre - mean)[f] / scale[f] ** 2)
+    follow = -covariance @ precision[np.ix_(f, b)]
+    bent = CutNormal(coordinates, mean, peak.deviations[b], follow, np.linalg.cholesky(covariance))
+    unit = np.eye(len(mean))
+    axes = 0.5 * (bent.inverse(unit) - bent.inverse(-unit)) / scale
+    point = (bent.inverse(np.zeros((1, len(mean))))[0] - centre) / scale
+    return Reference([Mode(point, np.linalg.cholesky(axes.T @ axes), 0.0, 1)], centre, scale, [bent])

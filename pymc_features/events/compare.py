@@ -20,10 +20,9 @@ from pymc_features._checks import (
     message,
     shown,
 )
-from pymc_features.calibration.comparison import log_likelihood
 from pymc_features.calibration.events import event_check
-from pymc_features.calibration.fit import Predictions
-from pymc_features.calibration.peaks import some_draws
+from pymc_features.calibration.maxima import some_draws
+from pymc_features.calibration.residuals import Predictions, log_likelihood
 from pymc_features.inference.parameters import posterior_for
 from pymc_features.smc import savable
 

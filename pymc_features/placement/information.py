@@ -10,7 +10,7 @@ are counted in standard deviations of their prior, so that their posterior has t
 
 import numpy as np
 
-from pymc_features.calibration.fit import Predictions, events_at
+from pymc_features.calibration.residuals import Predictions, events_at
 from pymc_features.smc import prior_points
 
 N_PRIOR = 500  # draws that tell the scale of the prior

@@ -29,8 +29,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import expit, gammaincc, gammaln, logit
 
-from pymc_features.calibration.comparison import Comparison
-from pymc_features.calibration.fit import Event
+from pymc_features.calibration.residuals import Comparison, Event
 from pymc_features.calibration.sandwich import sandwich, stretching
 from pymc_features.likelihoods import LIKELIHOODS, abc_tolerance
 from pymc_features.likelihoods.catalogue import EXP, NORM, Exponents

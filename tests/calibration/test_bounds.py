@@ -9,32 +9,19 @@ import numpy as np
 import pymc as pm
 import pytest
 import xarray as xr
-from scipy.special import ndtri_exp
 from scipy.stats import kstest, norm, truncnorm
 
 import pymc_features as pmf
-from benchmarks.coverage.bounds import (
-    LOWEST,
-    PLACES,
-    bounded,
-    coverage,
-    declare,
-    exact,
-    fitted,
-    true_sd,
-)
+from benchmarks import truth
+from benchmarks.coverage.bounds import LOWEST, PLACES, bounded, coverage, declare, exact, fitted, true_sd
 from benchmarks.coverage.errors import LEVEL, measurements
-from pymc_features.calibration.bounds import interval, log_share, quantiles
-from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.comparison import log_likelihood
-from pymc_features.calibration.coordinates import Coordinates, sides_of
-from pymc_features.calibration.fit import Predictions
-from pymc_features.calibration.peaks import Peak
-from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.maxima import climb_likelihood, peak_at
+from pymc_features.calibration.residuals import Coordinates, Predictions, bounds_of
+from pymc_features.calibration.stretched import CutNormal
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import Unconstrained, to_unconstrained
 
-N_SETS = 100
+SETTINGS = {"chains": 2, "random_seed": 1, "progressbar": False}
 
 
 @pytest.mark.statistical
@@ -42,7 +29,7 @@ N_SETS = 100
 @pytest.mark.parametrize("place", ["at it", "2 sds within", "0 to 4 sds within"])
 def test_coverage_at_a_bound(place):
     """Of 100 data sets 82 to 99 % hold the truth: where 95 % do, a false alarm is one in 150."""
-    inside, _ = coverage(PLACES[place], N_SETS)
+    inside, _ = coverage(PLACES[place], 100)
     assert 0.82 < inside.mean() < 0.995
 
 
@@ -50,9 +37,8 @@ def test_coverage_at_a_bound(place):
 def test_a_truth_outside_the_prior():
     """The interval hugs the bound, one to five times as wide as that of NORM, at three sds outside."""
     upper = 1.0 - 3.0 * true_sd()
-    for seed in range(20):
-        found = bounded(seed, upper)
-        low, high = found.interval
+    for seed in range(10):
+        low, high = bounded(seed, upper).interval
         assert high == pytest.approx(upper, abs=1e-9) and upper - low < 4.0 * true_sd()
     _, wider = coverage(-3.0, 20)
     assert 1.0 < np.median(wider) < 5.0
@@ -61,14 +47,20 @@ def test_a_truth_outside_the_prior():
 def test_nothing_jumps_when_the_maximum_reaches_the_bound():
     """The mean of the normal distribution behind the interval, for bounds on both sides of the maximum."""
     fit = fitted(0, 2.0).fit
-    maximum = LOWEST + 1.5 * fit.coordinates.distance(fit.z)[0]
+    maximum = LOWEST + 1.5 * fit.coordinates.rooms(fit.z)[0][0, 0]
     for offset in (-0.5, -0.01, 0.01, 0.5):
         upper = maximum + offset * true_sd()
         peak = fitted(0, upper)
         assert peak.fit.coordinates.near[0]
-        free = LOWEST + (upper - LOWEST) * peak.free[0]
-        assert free == pytest.approx(maximum, abs=0.05 * true_sd())
+        assert LOWEST + (upper - LOWEST) * peak.free[0] == pytest.approx(maximum, abs=0.05 * true_sd())
         assert (peak.fit.pushing[0] > 0) == (offset < 0)
+
+
+def posterior(**values):
+    """A DataTree with a posterior of a single draw."""
+    dims = "chain", "draw", "i"
+    draws = {name: (dims[: 2 + np.ndim(x)], np.asarray(x)[None, None]) for name, x in values.items()}
+    return xr.DataTree.from_dict({"posterior": xr.Dataset(draws)})
 
 
 @pytest.mark.slow
@@ -78,43 +70,30 @@ def test_calibrate_draws_what_the_bound_leaves_of_a_normal_distribution(inside):
     model, _ = declare()
     upper = 1.0 + inside * true_sd()
     peak = fitted(1, upper)
-    draws = {"first": 0.5 * (LOWEST + upper), "others": [1.0, 1.0], "sigma": 0.15}
-    start = {name: (("chain", "draw", "i")[: 2 + np.ndim(x)], [[x]]) for name, x in draws.items()}
-    start["first"] = (("chain", "draw"), [[upper - 1e-3]])
-    idata = pmf.calibrate(
-        posterior(start), model=model, draws=1000, chains=2, random_seed=1, progressbar=False
-    )
+    start = posterior(first=upper - 1e-3, others=[1.0, 1.0], sigma=0.15)
+    idata = pmf.calibrate(start, model=model, draws=1000, **SETTINGS)
     x = idata["posterior"]["first"].values[:, ::4].ravel()
-    sd = peak.deviations[0] * (upper - LOWEST)
-    free = LOWEST + (upper - LOWEST) * peak.free[0]
+    sd, free = (upper - LOWEST) * peak.deviations[0], LOWEST + (upper - LOWEST) * peak.free[0]
     expected = truncnorm((LOWEST - free) / sd, (upper - free) / sd, free, sd)
     assert kstest(x, expected.cdf).pvalue > 1e-3
-    assert kstest(x, truncnorm(-9.0, 9.0, free, sd).cdf).pvalue < 1e-3
-    found = idata["calibration"].to_dataset()
+    assert kstest(x, norm(free, sd).cdf).pvalue < 1e-3
     table = json.loads(idata.attrs["calibration"])["parameters"]["first"]
     assert table["near_bound"] and table["bound"] == upper
-    assert table["standard_deviation"] == float(found["standard_deviation"][0])
+    assert table["standard_deviation"] == float(idata["calibration"]["standard_deviation"][0])
     assert table["standard_deviation"] == pytest.approx(sd, rel=0.05)  # its curvature is measured anew
     assert table["room"] == pytest.approx((upper - free) / sd, abs=0.2)
     assert 0.0 < table["leverage"] < 0.3
 
 
-def posterior(variables):
-    """A DataTree with a posterior."""
-    return xr.DataTree.from_dict({"posterior": xr.Dataset(variables)})
-
-
-def storeys(measured, first, second):
+def storeys(measured, first, second, sigma=lambda: pm.HalfNormal("sigma", 1.0)):
     """Two stiffness factors and the damping with priors of their own."""
-    moved, _ = exact()
-    record = pmf.Record(moved.values()[0], 0.02)
     with pm.Model() as model:
         damping = pm.HalfNormal("damping", 2.0)
         theta = pm.math.stack([first(), second(), 1.0])
-        chain = pmf.SpringMassChain(
-            np.ones(3), 1200.0 * theta, pmf.RayleighDamping(0.3 * damping, 5e-4 * damping)
-        )
-        pm.Normal("y", pmf.response(chain, record), pm.HalfNormal("sigma", 1.0), observed=measured)
+        rayleigh = pmf.RayleighDamping(0.3 * damping, 5e-4 * damping)
+        chain = pmf.SpringMassChain(np.ones(3), 1200.0 * theta, rayleigh)
+        mu = pmf.response(chain, pmf.Record(exact()[0].values()[0], 0.02))
+        pm.Normal("y", mu, sigma(), observed=measured)
     return model
 
 
@@ -124,15 +103,11 @@ def test_two_bounds_that_the_data_are_beyond():
 
     The residuals of the draws are those of the maximum, to a half.
     """
-    response = exact()[1]
-    measured = measurements("white", response, 0.02, 1.0, 1)
-    model = storeys(
-        measured, lambda: pm.Uniform("first", 0.5, 0.998), lambda: pm.Uniform("second", 1.003, 1.5)
-    )
-    draws = {"first": 0.99, "second": 1.01, "damping": 1.0, "sigma": 0.1}
-    start = posterior({name: (("chain", "draw"), [[x]]) for name, x in draws.items()})
+    priors = lambda: pm.Uniform("first", 0.5, 0.998), lambda: pm.Uniform("second", 1.003, 1.5)
+    model = storeys(measurements("white", exact()[1], 0.02, 1.0, 1), *priors)
+    start = posterior(first=0.99, second=1.01, damping=1.0, sigma=0.1)
     with model, pytest.warns(CalibrationWarning) as caught:
-        cal = pmf.calibrate(start, draws=200, chains=2, random_seed=1, progressbar=False)
+        cal = pmf.calibrate(start, draws=200, **SETTINGS)
     words = " ".join(str(w.message) for w in caught)
     assert "the data want first above 0.998, the edge of its prior, by" in words
     assert "the data want second below 1.003, the edge of its prior, by" in words
@@ -140,31 +115,35 @@ def test_two_bounds_that_the_data_are_beyond():
     assert float(x["first"].quantile(0.05)) > 0.99 and float(x["second"].quantile(0.95)) < 1.01
     predictions = Predictions(model)
     points = to_unconstrained(model, x.isel(draw=slice(None, None, 20))).reshape(-1, 4)
-    fit = climb_likelihood(predictions, points[-1])
-    assert fit.height > log_likelihood(predictions(predictions.space.join(model.initial_point())))
-    median, best = np.median([rms(predictions, z) for z in points]), rms(predictions, fit.z)
-    assert best < median < 1.5 * best
+    [*some, best] = (
+        np.sqrt(np.mean((value.mu - value.observed) ** 2))
+        for z in (*points, climb_likelihood(predictions, points[-1]).z)
+        for value in predictions(z)
+    )
+    assert best < np.median(some) < 1.5 * best
 
 
-def rms(predictions, z):
-    """Of the residuals at a point [m/s^2]."""
-    [value] = predictions(z)
-    return np.sqrt(np.mean((value.mu - value.observed) ** 2))
+@pytest.mark.slow
+def test_draws_that_do_not_explain_the_data_are_refused():
+    """A sigma whose prior is far below what any structure of the prior leaves over."""
+    measured = measurements("white", exact()[1], 0.02, 1.0, 1)
+    priors = lambda: pm.Uniform("first", 0.5, 0.9), lambda: 1.0, lambda: pm.Uniform("sigma", 1e-3, 0.1)
+    start = posterior(first=0.89, damping=1.0, sigma=0.05)
+    words = "calibrated draws must explain the data, .* times as large as their own"
+    with pytest.warns(CalibrationWarning), pytest.raises(ValueError, match=words):
+        pmf.calibrate(start, model=storeys(measured, *priors), draws=100, **SETTINGS)
 
 
 def test_a_positive_parameter_that_wants_to_vanish():
     """Damping of a structure without: its maximum is at zero, on its own scale, and the climb gets there."""
-    from benchmarks import truth
-
     undamped = truth.chain_matrices(np.ones(3), np.full(3, 1200.0), (0.0, 0.0))
     response = truth.response(undamped, exact()[0])["absolute_acceleration"]
     measured = measurements("white", response, 0.02, 1.0, 3)
-    model = storeys(measured, *[lambda n=n: pm.Normal(n, 1.0, 0.2) for n in ("first", "second")])
-    predictions = Predictions(model)
+    priors = [lambda n=n: pm.Normal(n, 1.0, 0.2) for n in ("first", "second")]
+    predictions = Predictions(storeys(measured, *priors))
     level = np.log(LEVEL * np.sqrt(np.mean(response**2)))
     for damping in (0.03, 0.3):
-        fit = climb_likelihood(predictions, np.array([np.log(damping), 1.0, 1.0, level]))
-        peak = Peak(fit, sandwich(fit.events))
+        peak = peak_at(climb_likelihood(predictions, np.array([np.log(damping), 1.0, 1.0, level])))
         peak = peak.measured_from_bounds(peak.near_bounds())
         coordinates = peak.fit.coordinates
         assert coordinates.near.tolist() == [True, False, False, False]
@@ -172,70 +151,52 @@ def test_a_positive_parameter_that_wants_to_vanish():
         np.testing.assert_allclose(peak.fit.w[1:3], 1.0, atol=5.0 * peak.deviations[1])
 
 
-def test_sides_of_priors():
+def test_bounds_of_priors():
+    """Those of each kind, one of which depends on another parameter, as that is at the point."""
     with pm.Model() as model:
         high = pm.HalfNormal("high")
         pm.Uniform("two", [0.0, 1.0], [2.0, 3.0])
-        pm.TruncatedNormal("lower", 0.0, 1.0, lower=0.0)
+        pm.TruncatedNormal("lower", 0.0, 1.0, lower=-1.0)
+        pm.TruncatedNormal("upper", 0.0, 1.0, upper=4.0)
         pm.Beta("unit", 1.0, 2.0)
         pm.Normal("none")
         pm.Dirichlet("shares", np.ones(3))
         pm.Uniform("depends", 0.0, high)
-    assert sides_of(model, Unconstrained(model)).tolist() == [1, 2, 2, 1, 2, 0, 0, 0, 2]
+    space = Unconstrained(model)
+    low, high = bounds_of(model, space)(space.point | {"high_log__": np.log(5.0)})
+    inf = np.inf
+    np.testing.assert_allclose(low, [0.0, 0.0, 1.0, -1.0, -inf, 0.0, -inf, -inf, -inf, 0.0])
+    np.testing.assert_allclose(high, [inf, 2.0, 3.0, inf, 4.0, 1.0, inf, inf, inf, 5.0])
 
 
-def test_normal_distributions_that_are_cut():
-    """Shares and quantiles as SciPy has them, on both sides and far out, and back."""
-    low, high = np.array([-1.0, 3.0, -np.inf, -9.0, 30.0]), np.array([2.0, np.inf, 0.3, -8.0, 31.0])
-    cut, u = truncnorm(low, high), np.random.default_rng(1).normal(size=(500, 5))
-    x = quantiles(low, high, u)
-    np.testing.assert_allclose(x, cut.ppf(norm.cdf(u)), rtol=1e-10)
-    log_density = norm.logpdf(x) - log_share(low, high)
-    np.testing.assert_allclose(log_density, cut.logpdf(x), rtol=1e-9, atol=1e-9)
-    back = ndtri_exp(log_share(low, x) - log_share(low, high))
-    np.testing.assert_allclose(back[:, :4], u[:, :4], atol=1e-9)
+SIDES = np.array([0, 1, 2, 1, 2])
+SOME = Coordinates(SIDES, np.array([False, True, True, False, True]), np.array([0.4, -1.9, 1.6, 0.8, -3.9]))
 
 
 def test_coordinates():
-    """There and back, and slopes by differences."""
-    sides = np.array([0, 1, 2, 1, 2])
-    z = np.array([0.3, -2.0, 1.5, 0.7, -4.0])
-    some = Coordinates(sides, (sides > 0) & [True, True, True, False, True], z + 0.1)
-    assert some.near.tolist() == [False, True, True, False, True]
-    np.testing.assert_allclose(some.unconstrained(some.of(z)), z)
-    assert np.isfinite(some.distance(z + 2000.0)).all()
-    slopes = [(some.of(z + h) - some.of(z - h)) / 2e-6 for h in 1e-6 * np.eye(5)]
-    np.testing.assert_allclose(np.diag(slopes), some.slopes(z), rtol=1e-6)
+    """There and back, slopes by differences, and rooms to both bounds; nothing overflows far away."""
+    z = SOME.origin - 0.1
+    np.testing.assert_allclose(SOME.unconstrained(SOME.of(z)), z)
+    slopes = [(SOME.of(z + h) - SOME.of(z - h)) / 2e-6 for h in 1e-6 * np.eye(5)]
+    np.testing.assert_allclose(np.diag(slopes), SOME.slopes(z), rtol=1e-6)
+    rooms, _ = SOME.rooms(z)
+    np.testing.assert_allclose(
+        rooms[:, 1:4].T, [[np.exp(-0.1), np.inf], [0.817574, 0.182426], [np.exp(-0.1), np.inf]], rtol=1e-5
+    )
+    assert np.isfinite(SOME._replace(near=SIDES > 0).of(z + 2000.0)).all()
 
 
-@pytest.mark.parametrize(("bound", "sign"), [(1.0, 1.0), (0.0, -1.0)])
-def test_the_shortest_interval_ends_at_the_bound(bound, sign):
-    """Of an exponential distribution; away from a bound it is equal-tailed."""
-    x = bound - sign * np.random.default_rng(1).exponential(0.1, size=4000)
-    low, high = interval(x, bound=bound)
-    ends = (bound, bound - sign * 0.2303)
-    np.testing.assert_allclose(sorted(ends), [low, high], atol=0.01)
-    assert bound in (low, high)
-    equal = interval(x)
-    assert bound not in equal
-    np.testing.assert_allclose(equal, np.quantile(x, [0.05, 0.95]))
-
-
-@pytest.mark.slow
-def test_draws_that_do_not_explain_the_data_are_refused():
-    """A sigma whose prior is far below what any structure of the prior leaves over."""
-    measured = measurements("white", exact()[1], 0.02, 1.0, 1)
-    moved, _ = exact()
-    with pm.Model() as model:
-        first = pm.Uniform("first", 0.5, 0.9)
-        chain = pmf.SpringMassChain(np.ones(3), 1200.0 * first * np.ones(3), pmf.RayleighDamping(0.3, 5e-4))
-        mu = pmf.response(chain, pmf.Record(moved.values()[0], 0.02))
-        pm.Normal("y", mu, pm.Uniform("sigma", 1e-3, 0.1), observed=measured)
-    start = posterior({"first": (("chain", "draw"), [[0.89]]), "sigma": (("chain", "draw"), [[0.05]])})
-    with (
-        pytest.warns(CalibrationWarning),
-        pytest.raises(
-            ValueError, match="calibrated draws must explain the data, .* times as large as their own"
-        ),
-    ):
-        pmf.calibrate(start, model=model, draws=100, chains=2, random_seed=1, progressbar=False)
+def test_normal_distributions_that_are_cut():
+    """A map to standard normal numbers, on both sides and far out, and back; its density by differences."""
+    mean = np.array([0.2, -3.0, 1.2, 0.5, -0.3])
+    factor, follow = np.array([[0.5, 0.0], [0.2, 0.3]]), np.array([[0.4, 0.1, 0.0], [0.0, 0.2, -0.3]])
+    cut = CutNormal(SOME, mean, np.array([0.8, 0.1, 0.02]), follow, factor)
+    u = np.random.default_rng(1).normal(size=(200, 5))
+    z = cut.inverse(u)
+    back, log_density = cut.forward(z)
+    np.testing.assert_allclose(back, u, atol=1e-6)
+    ends = [[cut.inverse(u + sign * h) for h in 1e-5 * np.eye(5)] for sign in (1.0, -1.0)]
+    slopes = np.subtract(*ends).swapaxes(0, 1) / 2e-5  # (point, of u, of z)
+    np.testing.assert_allclose(-np.linalg.slogdet(slopes)[1], log_density, atol=1e-5)
+    far = cut.inverse(np.array([[0.0, 9.0, 9.0, 0.0, 9.0], [0.0, -9.0, -9.0, 0.0, -9.0]]))
+    assert np.isfinite(far).all()

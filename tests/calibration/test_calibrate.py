@@ -1,6 +1,5 @@
 """`effective_samples` and `calibrate` on models whose answers are known: linear in their parameters."""
 
-import importlib
 import warnings
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 import xarray as xr
 from scipy.stats import beta, kstest
 
-from calibration.test_spectrum import N_TIMES, errors_of, first_order, regression
+from calibration.test_sandwich import DT, N_TIMES, errors_of, first_order, regression
 from pymc_features import (
     CorrelatedNormal,
     ExpFeature,
@@ -18,15 +17,10 @@ from pymc_features import (
     calibrate,
     effective_samples,
 )
-from pymc_features.calibration.calibrate import warn_if_far
-from pymc_features.calibration.coordinates import Coordinates
-from pymc_features.calibration.fit import Fit
-from pymc_features.calibration.peaks import Peak
-from pymc_features.calibration.sandwich import Sandwich, stretching
 from pymc_features.calibration.stretched import Expansion, Stretched
 from pymc_features.exceptions import CalibrationWarning
 
-DT, TAU = 0.02, 0.3
+TAU = 0.3
 SIGNALS = regression()
 LIKELIHOODS = {
     "NORM": lambda mu, sigma, y: pm.Normal("y", mu, sigma, observed=y),
@@ -56,6 +50,20 @@ def at(*theta, sigma=0.1):
     return xr.DataTree.from_dict({"posterior": xr.Dataset(values)})
 
 
+def calibrated(model, *theta, draws=500, seed=1, **settings):
+    """The result of CAL, and its draws of theta (n, 2)."""
+    settings = {"chains": 2, "random_seed": seed, "progressbar": False} | settings
+    found = calibrate(at(*theta or (1.0, 2.0)), model=model, draws=draws, **settings)
+    return found, found["posterior"]["theta"].values.reshape(-1, 2)
+
+
+def assert_normal(theta, mean, covariance, atol):
+    """Moments of draws (n, 2) in units of their standard deviations."""
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    np.testing.assert_allclose(whiten @ np.cov(theta.T) @ whiten.T, np.eye(2), atol=atol)
+    np.testing.assert_allclose(whiten @ (theta.mean(axis=0) - mean), 0.0, atol=0.15)
+
+
 @pytest.fixture(scope="module")
 def y():
     return data()
@@ -63,7 +71,7 @@ def y():
 
 @pytest.fixture(scope="module")
 def least_squares(y):
-    """Estimate of theta, and the covariance that the true errors give it."""
+    """Estimate of theta, and the covariances that the true errors and white ones give it."""
     flat = SIGNALS.reshape(-1, 2)
     claims = np.linalg.inv(flat.T @ flat)
     lag = np.arange(N_TIMES)
@@ -88,8 +96,7 @@ def test_every_likelihood_supports_the_same(kind, y, least_squares):
     np.testing.assert_allclose(found["covariance"][:2, :2], reference["covariance"][:2, :2], rtol=0.01)
     np.testing.assert_allclose(found["n_eff"], reference["n_eff"], rtol=0.01)
     assert found["n_eff_direction"][0] < 0.25 * 4 * N_TIMES
-    claimed = {"NORM": N_TIMES, "TN": 1, "EXP": 2, "m": 7.5}[kind]
-    np.testing.assert_allclose(found["claimed"], claimed)
+    np.testing.assert_allclose(found["claimed"], {"NORM": N_TIMES, "TN": 1, "EXP": 2, "m": 7.5}[kind])
 
 
 def test_a_right_likelihood_claims_what_it_knows(y):
@@ -98,70 +105,43 @@ def test_a_right_likelihood_claims_what_it_knows(y):
     assert found.attrs["n_eff"] == pytest.approx(4 * N_TIMES, rel=0.3)
 
 
-def test_modes_that_sampling_found_are_climbed_from(y, least_squares):
-    """The climb from them is shorter than that from a draw, and leads to the same. Control: modes of another
-    model are not used.
+def test_where_climbs_begin(y, least_squares):
+    """Those from modes that sampling has found are shorter than from a draw and lead to the same, and so do
+    those of a model without draws. Control: modes of another model are not used.
     """
     estimate, truth, _ = least_squares
     idata, model = at(0.9, 1.8), declare("EXP", y)
     alone = effective_samples(idata, model=model)
     idata["modes"] = xr.Dataset({"theta": (("mode", "i"), [[5.0, 5.0], estimate])})
     assert effective_samples(idata, model=model).n_evaluations == alone.n_evaluations
-    idata["modes"] = xr.Dataset({**idata["modes"].data_vars, "sigma": ("mode", [0.1, sigma_at(alone)])})
+    sigma = float(np.exp(alone["point"][2]))
+    idata["modes"] = xr.Dataset({**idata["modes"].data_vars, "sigma": ("mode", [0.1, sigma])})
     found = effective_samples(idata, model=model)
     assert found.n_evaluations < alone.n_evaluations
-    np.testing.assert_allclose(
-        found["point"][:2], alone["point"][:2], atol=1e-3 * np.sqrt(truth.diagonal().min())
-    )
-
-
-def sigma_at(found):
-    """Sigma at the maximum."""
-    return float(np.exp(found["point"][2]))
-
-
-def test_of_a_model_without_draws(y):
-    model = declare("NORM", y)
-    found, expected = effective_samples(model, random_seed=1), effective_samples(at(1.0, 2.0), model=model)
-    np.testing.assert_allclose(found["covariance"], expected["covariance"], rtol=1e-3)
+    for other in (found, effective_samples(model, random_seed=1)):
+        atol = 1e-3 * np.sqrt(truth.diagonal().min())
+        np.testing.assert_allclose(other["point"][:2], alone["point"][:2], atol=atol)
+        np.testing.assert_allclose(other["covariance"][:2, :2], alone["covariance"][:2, :2], rtol=1e-3)
 
 
 def test_records_in_one_model_add_up(y):
     """Two records with independent errors: A and B are sums."""
-    other = data(seed=7)
     with declare("NORM", y) as model:
-        pm.Normal("z", pm.math.dot(SIGNALS, model["theta"]), model["sigma"], observed=other)
+        pm.Normal("z", pm.math.dot(SIGNALS, model["theta"]), model["sigma"], observed=data(seed=7))
     both = effective_samples(at(1.0, 2.0), model=model)
-    assert both.sizes["sensor"] == 8
     one = effective_samples(at(1.0, 2.0), model=declare("NORM", y))
+    assert both.sizes["sensor"] == 8
     ratio = one["standard_deviation"][:2] / both["standard_deviation"][:2]
     np.testing.assert_allclose(ratio, np.sqrt(2.0), rtol=0.25)
-
-
-def test_stretching():
-    rng = np.random.default_rng(8)
-    information, precision = (x @ x.T for x in rng.normal(size=(2, 5, 5)))
-    power, matrix = stretching(information, precision)
-    np.testing.assert_allclose(power * matrix.T @ information @ matrix, precision, rtol=1e-9, atol=1e-9)
-    assert np.linalg.det(matrix) == pytest.approx(1.0)
-    information[4], information[:, 4] = 0.0, 0.0  # a parameter that the likelihood does not know
-    power, matrix = stretching(information, information / 3.0)
-    np.testing.assert_allclose(matrix, np.eye(5), atol=1e-9)
-    assert power == pytest.approx(1.0 / 3.0)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["NORM", "EXP"])
 def test_posterior_has_the_covariance_that_the_residuals_support(kind, y):
     """In every direction, from likelihoods that claim 2400 and 8 observations."""
-    model = declare(kind, y)
-    found = calibrate(at(1.0, 2.0), model=model, draws=1000, chains=2, random_seed=1, progressbar=False)
-    expected = found["calibration"]["covariance"].values[:2, :2]
-    theta = found["posterior"]["theta"].values.reshape(-1, 2)
-    whiten = np.linalg.inv(np.linalg.cholesky(expected))
-    np.testing.assert_allclose(whiten @ np.cov(theta.T) @ whiten.T, np.eye(2), atol=0.15)
-    off = whiten @ (theta.mean(axis=0) - found["calibration"]["point"].values[:2])
-    np.testing.assert_allclose(off, 0.0, atol=0.15)
+    found, theta = calibrated(declare(kind, y), draws=1000)
+    expected = found["calibration"].to_dataset()
+    assert_normal(theta, expected["point"].values[:2], expected["covariance"].values[:2, :2], 0.15)
     assert (found["sample_stats"].attrs["power"] > 1.0) == (kind == "EXP")
 
 
@@ -169,66 +149,37 @@ def test_posterior_has_the_covariance_that_the_residuals_support(kind, y):
 def test_priors_keep_their_meaning(y, least_squares):
     """A bound is not crossed; an informative prior multiplies the calibrated likelihood, in closed form."""
     estimate, *_ = least_squares
-    free = calibrate(
-        at(1.0, 2.0), model=declare("NORM", y), draws=500, chains=2, random_seed=2, progressbar=False
-    )
-    covariance = free["calibration"]["covariance"].values[:2, :2]
+    covariance = effective_samples(at(1.0, 2.0), model=declare("NORM", y))["covariance"].values[:2, :2]
     width = np.sqrt(covariance[0, 0])
     high = estimate[0] + 0.3 * width
-
-    def bounded():
-        return pm.Uniform("theta", [-5.0, -5.0], [high, 5.0])
-
-    found = calibrate(
-        at(estimate[0] - width, 2.0),
-        model=declare("NORM", y, bounded),
-        draws=500,
-        chains=2,
-        random_seed=3,
-        progressbar=False,
-    )
-    theta = found["posterior"]["theta"].values.reshape(-1, 2)
-    assert theta[:, 0].max() < high
-    assert theta[:, 0].max() > high - 0.2 * width
-
-    def informative():
-        return pm.Normal("theta", estimate + 2.0 * width, width)
-
-    found = calibrate(
-        at(1.0, 2.0),
-        model=declare("NORM", y, informative),
-        draws=1000,
-        chains=2,
-        random_seed=4,
-        progressbar=False,
-    )
+    model = declare("NORM", y, lambda: pm.Uniform("theta", [-5.0, -5.0], [high, 5.0]))
+    _, theta = calibrated(model, estimate[0] - width, 2.0)
+    assert high - 0.2 * width < theta[:, 0].max() < high
+    model = declare("NORM", y, lambda: pm.Normal("theta", estimate + 2.0 * width, width))
+    _, theta = calibrated(model, draws=1000)
     precision = np.linalg.inv(covariance)
     expected = np.linalg.inv(precision + np.eye(2) / width**2)
     mean = expected @ (precision @ estimate + (estimate + 2.0 * width) / width**2)
-    theta = found["posterior"]["theta"].values.reshape(-1, 2)
-    np.testing.assert_allclose((theta.mean(axis=0) - mean) / width, 0.0, atol=0.15)
-    whiten = np.linalg.inv(np.linalg.cholesky(expected))
-    np.testing.assert_allclose(whiten @ np.cov(theta.T) @ whiten.T, np.eye(2), atol=0.2)
+    assert_normal(theta, mean, expected, 0.2)
 
 
-def test_draws_far_from_the_maximum_are_warned_of():
-    """A quarter of them, in units of correlated standard deviations; nearer ones are not."""
-    covariance = np.array([[1.0, 0.99], [0.99, 1.0]])
-    narrow = Sandwich(np.linalg.inv(covariance), np.linalg.inv(covariance), [])
-    fit = Fit(Coordinates.plain(np.zeros(2, dtype=int), np.zeros(2)), np.array([3.0, 4.0]), [])
-    draws = np.random.default_rng(10).multivariate_normal(fit.z, covariance, size=400)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", CalibrationWarning)
-        warn_if_far(draws, Peak(fit, narrow))
-    draws[:120, 0] += 1.0  # not far for one parameter alone
-    with pytest.warns(CalibrationWarning, match="(29|30) % of the calibrated draws are far from"):
-        warn_if_far(draws, Peak(fit, narrow))
+@pytest.mark.slow
+def test_draws_far_from_the_maximum_are_warned_of(y, least_squares):
+    """Where the prior leads away from it. Control: no warning with a prior that agrees with the data."""
+    estimate, truth, _ = least_squares
+    sd = np.sqrt(np.diag(truth))
+    for away in (0.0, 30.0):
+        model = declare("NORM", y, lambda away=away: pm.Normal("theta", estimate + away * sd, 0.3 * sd))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            calibrated(model, draws=100)
+        far = [w for w in caught if "% of the calibrated draws are far from" in str(w.message)]
+        assert bool(far) == (away > 0.0)
 
 
 @pytest.mark.slow
 def test_what_a_checkpoint_keeps_is_not_evaluated_again(y, tmp_path, monkeypatch):
     """Killed after a part of the draws has been weighed, a run goes on and ends with the same draws."""
-    module = importlib.import_module("pymc_features.calibration.calibrate")
     parts, evaluate = [], Stretched.__call__
 
     def counted(self, z):
@@ -238,60 +189,14 @@ def test_what_a_checkpoint_keeps_is_not_evaluated_again(y, tmp_path, monkeypatch
                 raise KeyboardInterrupt
         return evaluate(self, z)
 
-    monkeypatch.setattr(module.Stretched, "__call__", counted)
-    settings = {"draws": 200, "chains": 2, "cores": 1, "random_seed": 1, "progressbar": False}
+    monkeypatch.setattr(Stretched, "__call__", counted)
     model, limit = declare("NORM", y), 3
     with pytest.raises(KeyboardInterrupt):
-        calibrate(at(1.0, 2.0), model=model, checkpoint=tmp_path, **settings)
+        calibrated(model, draws=200, cores=1, checkpoint=tmp_path)
     limit = None
-    again = calibrate(at(1.0, 2.0), model=model, checkpoint=tmp_path, **settings)
+    _, again = calibrated(model, draws=200, cores=1, checkpoint=tmp_path)
     assert parts == [100] * 3 + [100] * 2
-    whole = calibrate(at(1.0, 2.0), model=model, **settings)
-    xr.testing.assert_equal(again["posterior"].to_dataset(), whole["posterior"].to_dataset())
-
-
-# --------------------------------------------------------------------------- refusals
-
-
-def test_other_likelihoods_are_refused(y):
-    with pm.Model() as model:
-        pm.StudentT("y", 3.0, pm.Normal("theta"), observed=y)
-    with pytest.raises(TypeError, match="must have Normal, CorrelatedNormal or feature .* got StudentT"):
-        effective_samples(model)
-    with pm.Model() as model:
-        pm.Normal("theta")
-    with pytest.raises(ValueError, match="`model` must have observed variables, got none"):
-        effective_samples(model)
-
-
-def test_what_has_no_posterior_is_refused(y):
-    with pytest.raises(TypeError, match="`idata` must be a DataTree with a group `posterior`, got"):
-        calibrate(xr.Dataset(), model=declare("NORM", y))
-
-
-def test_a_sensor_without_noise_is_refused(y):
-    """A dead channel: neither signal nor misfit."""
-    alive = np.array([[1.0], [0.0]])
-    with pm.Model() as model:
-        pm.Normal("y", pm.Normal("a") * SIGNALS[:2, :, 0] * alive, 1.0, observed=y[:2] * alive)
-    posterior = xr.Dataset({"a": (("chain", "draw"), [[1.0]])})
-    with pytest.raises(ValueError, match="the residuals of y must not vanish, got none at sensor 1"):
-        effective_samples(xr.DataTree.from_dict({"posterior": posterior}), model=model)
-
-
-def test_data_without_noise_are_refused():
-    with pytest.raises(ValueError, match="the residuals of y must not vanish"):
-        effective_samples(at(1.0, 2.0), model=declare("NORM", SIGNALS @ [1.0, 2.0]))
-
-
-def test_a_record_that_is_too_short_is_warned_of():
-    """Errors that persist for half of the record."""
-    drift = first_order(np.random.default_rng(9), (4, N_TIMES), np.exp(-DT / 6.0))
-    with pytest.warns(CalibrationWarning, match=r"the errors of y persist for .* s of a record of 12 s"):
-        effective_samples(at(1.0, 2.0), model=declare("CN", SIGNALS @ [1.0, 2.0] + drift))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", CalibrationWarning)
-        effective_samples(at(1.0, 2.0), model=declare("NORM", data("white")))
+    np.testing.assert_array_equal(again, calibrated(model, draws=200, cores=1)[1])
 
 
 def test_every_mode_has_its_weight(y):
@@ -324,3 +229,41 @@ def test_what_the_data_do_not_know_keeps_its_prior(y):
     found = calibrate(idata, model=model, draws=500, chains=2, random_seed=7, progressbar=False)
     assert kstest(found["posterior"]["idle"].values.ravel(), beta(2.0, 5.0).cdf).pvalue > 1e-3
     assert np.isnan(found["calibration"]["standard_deviation"].values[-1])
+
+
+# --------------------------------------------------------------------------- refusals
+
+
+def test_other_models_are_refused(y):
+    with pm.Model() as model:
+        pm.StudentT("y", 3.0, pm.Normal("theta"), observed=y)
+    with pytest.raises(TypeError, match="must have Normal, CorrelatedNormal or feature .* got StudentT"):
+        effective_samples(model)
+    with pm.Model() as model:
+        pm.Normal("theta")
+    with pytest.raises(ValueError, match="`model` must have observed variables, got none"):
+        effective_samples(model)
+    with pytest.raises(TypeError, match="`idata` must be a DataTree with a group `posterior`, got"):
+        calibrate(xr.Dataset(), model=declare("NORM", y))
+
+
+def test_data_without_noise_are_refused(y):
+    """All of them, and a dead channel: neither signal nor misfit."""
+    with pytest.raises(ValueError, match="the residuals of y must not vanish"):
+        effective_samples(at(1.0, 2.0), model=declare("NORM", SIGNALS @ [1.0, 2.0]))
+    alive = np.array([[1.0], [0.0]])
+    with pm.Model() as model:
+        pm.Normal("y", pm.Normal("a") * SIGNALS[:2, :, 0] * alive, 1.0, observed=y[:2] * alive)
+    posterior = xr.Dataset({"a": (("chain", "draw"), [[1.0]])})
+    with pytest.raises(ValueError, match="the residuals of y must not vanish, got none at sensor 1"):
+        effective_samples(xr.DataTree.from_dict({"posterior": posterior}), model=model)
+
+
+def test_a_record_that_is_too_short_is_warned_of():
+    """Errors that persist for half of the record. Control: white ones."""
+    drift = first_order(np.random.default_rng(9), (4, N_TIMES), np.exp(-DT / 6.0))
+    with pytest.warns(CalibrationWarning, match=r"the errors of y persist for .* s of a record of 12 s"):
+        effective_samples(at(1.0, 2.0), model=declare("CN", SIGNALS @ [1.0, 2.0] + drift))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", CalibrationWarning)
+        effective_samples(at(1.0, 2.0), model=declare("NORM", data("white")))

@@ -9,8 +9,8 @@ import xarray as xr
 
 import pymc_features as pmf
 from benchmarks.truth import cycles, specimen_force
-from pymc_features.calibration.climb import climb_likelihood
-from pymc_features.calibration.fit import Predictions
+from pymc_features.calibration.maxima import climb_likelihood
+from pymc_features.calibration.residuals import Predictions
 from pymc_features.inference.parameters import to_unconstrained
 
 LAW = [2e7, 0.008, 0.0, 2.0, 0.5, 0.5, 0.0, 0.0, 0.7, 1.0, 0.1, 0.3, 0.0, 0.3]  # in the order of `NAMES`
@@ -45,18 +45,14 @@ def largest_residuals(model, start):
     """Draws of CAL: rms of their residuals over that of NORM's most likely point (n,), and the result."""
     names = "k", "d_y", "delta_eta", "delta_nu", "ratio", "slip", "sigma"
     start = xr.Dataset({n: (("chain", "draw"), [[x]]) for n, x in zip(names, start, strict=True)})
-    predictions = Predictions(model)
-
-    def rms(z):
-        value = predictions(z)[0]
-        return np.sqrt(np.mean((value.mu - value.observed) ** 2))
-
-    fit = climb_likelihood(predictions, to_unconstrained(model, start)[0, 0])
-    idata = xr.DataTree.from_dict({"posterior": start})
     settings = {"draws": 300, "chains": 2, "stage_draws": 300, "random_seed": 1, "progressbar": False}
-    found = pmf.calibrate(idata, model=model, **settings)
-    draws = to_unconstrained(model, found["posterior"].to_dataset()).reshape(-1, 7)
-    return np.array([rms(z) for z in draws[::6]]) / rms(fit.z), found
+    found = pmf.calibrate(xr.DataTree.from_dict({"posterior": start}), model=model, **settings)
+    predictions = Predictions(model)
+    best = climb_likelihood(predictions, to_unconstrained(model, start)[0, 0]).z
+    points = [best, *to_unconstrained(model, found["posterior"].to_dataset()).reshape(-1, 7)[::6]]
+    values = [predictions(z)[0] for z in points]
+    fit, *draws = (np.sqrt(np.mean((value.mu - value.observed) ** 2)) for value in values)
+    return np.array(draws) / fit, found
 
 
 @pytest.mark.slow

@@ -5,26 +5,22 @@ import pymc as pm
 import pytensor.tensor as pt
 import pytest
 
-from calibration.test_spectrum import first_order
+from calibration.test_sandwich import first_order
 from pymc_features import ExpFeature, GammaFeature, effective_samples, fill_degrees, sample, sample_smc
 from pymc_features.exceptions import CalibrationWarning, FeatureLikelihoodWarning
 
 N_SENSORS, N_TIMES, N_FEW = 4, 2000, 400
-PHASES = np.arange(N_SENSORS)[:, None]
+PHASES, TIME = np.arange(N_SENSORS)[:, None], np.arange(N_TIMES)
 CONSTANT = np.ones((N_SENSORS, N_TIMES))
-WAVES = np.sin(
-    0.3 * np.arange(N_TIMES) * np.exp(-np.arange(N_TIMES) / 4000.0) + PHASES
-)  # of many frequencies
+WAVES = np.sin(0.3 * TIME * np.exp(-TIME / 4000.0) + PHASES)  # of many frequencies
 
 
 @pytest.fixture(scope="module")
 def model():
     """y = a design + errors; both are data, so that it is compiled once."""
     with pm.Model(coords={"sensor": list("abcd")}) as model:
-        design = pm.Data("design", WAVES)
-        mu = pm.Normal("a", 0.0, 10.0) * design
-        sigma = pm.LogNormal("sigma", -2.0, 3.0)
-        y = pm.Data("data", WAVES)
+        mu = pm.Normal("a", 0.0, 10.0) * pm.Data("design", WAVES)
+        sigma, y = pm.LogNormal("sigma", -2.0, 3.0), pm.Data("data", WAVES)
         GammaFeature("y", mu, sigma, "residuals", observed=y, dims=("sensor", "time"))
     return model
 
@@ -72,34 +68,14 @@ def test_white_noise_gives_the_conventional_likelihood(model):
 
 
 def test_a_sensor_that_knows_nothing_gets_the_mean_of_the_others(model):
+    """If all know nothing, there is no m."""
     blind = WAVES[:, :N_FEW] * np.array([1.0, 1.0, 1.0, 0.0])[:, None]
     errors = np.random.default_rng(5).standard_normal((N_SENSORS, N_FEW))
     fill_degrees(declare(model, blind, errors), random_seed=1)
     m = model["y_m"].get_value()
     assert m[3] == pytest.approx(m[:3].mean())
-
-
-def test_a_fit_that_fails_leaves_m_unknown(model):
-    with pytest.raises(ValueError, match="the residuals of y must not vanish"):
-        fill_degrees(declare(model, WAVES[:, :N_FEW], 0.0), random_seed=1)
-    np.testing.assert_array_equal(model["y_m"].get_value(), 0.0)
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda model: sample(20, model=model, chains=1, cores=1, progressbar=False),
-        lambda model: sample_smc(20, model=model, chains=1, cores=1, progressbar=False),
-        lambda model: effective_samples(model),
-        lambda model: model.compile_logp(mode="FAST_COMPILE")(model.initial_point()),
-        lambda model: pm.draw(model["y"], mode="FAST_COMPILE"),
-    ],
-    ids=["sample", "sample_smc", "effective_samples", "logp", "draw"],
-)
-def test_nothing_is_computed_before_m_is_known(model, call):
-    declare(model, WAVES, 1.0)
-    with pytest.raises(ValueError, match=r"`m` of y must be taken from the residuals .* Call fill_degrees"):
-        call(model)
+    with pytest.raises(ValueError, match="parameters that change the response of y, got none"):
+        fill_degrees(declare(model, 0.0 * errors, errors), random_seed=1)
 
 
 def test_few_observations_are_warned_of(model):
@@ -113,10 +89,24 @@ def test_few_observations_are_warned_of(model):
     assert model["y_m"].get_value().sum() < 4.0
 
 
-# --------------------------------------------------------------------------- refusals
+def test_a_fit_that_fails_leaves_m_unknown(model):
+    """And nothing is computed before it is known."""
+    with pytest.raises(ValueError, match="the residuals of y must not vanish"):
+        fill_degrees(declare(model, WAVES[:, :N_FEW], 0.0), random_seed=1)
+    np.testing.assert_array_equal(model["y_m"].get_value(), 0.0)
+    run = {"model": model, "chains": 1, "cores": 1, "progressbar": False}
+    for call in (
+        lambda: sample(20, **run),
+        lambda: sample_smc(20, **run),
+        lambda: effective_samples(model),
+        lambda: model.compile_logp(mode="FAST_COMPILE")(model.initial_point()),
+        lambda: pm.draw(model["y"], mode="FAST_COMPILE"),
+    ):
+        with pytest.raises(ValueError, match=r"`m` of y must be taken from the residuals .* Call fill_deg"):
+            call()
 
 
-def test_bad_degrees_are_refused():
+def test_what_has_no_degrees_to_fill_is_refused():
     mu = np.zeros((3, 5))
     with pytest.raises(ValueError, match="`m` must be positive numbers or, .* got 'residual'"):
         GammaFeature.dist(mu, 1.0, "residual")
@@ -126,16 +116,7 @@ def test_bad_degrees_are_refused():
         GammaFeature("y", mu, 1.0, "residuals")
     with pm.Model(), pytest.raises(ValueError, match="`observed` must have a known number of sensors"):
         GammaFeature("y", mu, 1.0, "residuals", observed=pt.matrix())
-
-
-def test_models_that_wait_for_nothing_are_refused():
     with pm.Model() as model:
-        ExpFeature("y", pm.Normal("a") * np.ones((3, 5)), 1.0, observed=np.ones((3, 5)))
+        ExpFeature("y", pm.Normal("a") * mu, 1.0, observed=1.0 + mu)
     with pytest.raises(ValueError, match="`model` must have a GammaFeature with m='residuals', got y"):
         fill_degrees(model)
-
-
-def test_a_response_without_parameters_is_refused(model):
-    errors = np.random.default_rng(8).standard_normal((N_SENSORS, N_FEW))
-    with pytest.raises(ValueError, match="parameters that change the response of y, got none"):
-        fill_degrees(declare(model, 0.0 * errors, errors), random_seed=1)

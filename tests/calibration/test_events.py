@@ -6,7 +6,7 @@ import xarray as xr
 from scipy.stats import kstest, norm, t
 
 from pymc_features import event_check
-from pymc_features.calibration.events import between, joint_q
+from pymc_features.calibration.events import between, interval, joint_q
 
 
 def posterior(theta, draws=400, seed=0, **others):
@@ -43,7 +43,7 @@ def test_by_hand():
 
 
 def test_joint_q_is_chi_square():
-    """Of means with the covariances stated; of means twice as far apart it is not (control)."""
+    """Of means with the covariances stated; of means 1.4 times as far apart it is not (control)."""
     rng = np.random.default_rng(11)
     factor = np.linalg.cholesky(COVARIANCE)
     covariances = np.stack([COVARIANCE, 4.0 * COVARIANCE, 0.5 * COVARIANCE])
@@ -83,19 +83,31 @@ def test_noise_is_left_out_where_it_is_known_to_be_noise():
     assert list(event_check(events, var_names=["sigma"])["parameter"].values) == ["sigma"]
 
 
-def test_bad_input():
-    with pytest.raises(TypeError, match="two or more posteriors, got 1"):
-        event_check(EVENTS[:1])
-    with pytest.raises(TypeError, match="got DataTree"):
-        event_check(EVENTS[0])
-    with pytest.raises(TypeError, match="group `posterior`, got .* That is event 1. Pass what"):
-        event_check([EVENTS[0], xr.DataTree()])
-    with pytest.raises(ValueError, match="got no k in event 0"):
-        event_check(EVENTS, var_names=["k"])
-    with pytest.raises(ValueError, match="between 0 and 1"):
-        event_check(EVENTS, probability=90)
-    with pytest.raises(ValueError, match="at least 20 draws"):
-        event_check([posterior(([0.0, 0.0], COVARIANCE), draws=10)] * 2)
-    other = xr.DataTree.from_dict({"posterior": EVENTS[0]["posterior"].to_dataset().isel(floor=[0])})
-    with pytest.raises(ValueError, match="with one shape"):
-        event_check([EVENTS[0], other])
+OTHER = xr.DataTree.from_dict({"posterior": EVENTS[0]["posterior"].to_dataset().isel(floor=[0])})
+
+
+@pytest.mark.parametrize(
+    ("events", "settings", "error", "words"),
+    [
+        (EVENTS[:1], {}, TypeError, "two or more posteriors, got 1"),
+        (EVENTS[0], {}, TypeError, "got DataTree"),
+        ([EVENTS[0], xr.DataTree()], {}, TypeError, "group `posterior`, got .* That is event 1. Pass what"),
+        (EVENTS, {"var_names": ["k"]}, ValueError, "got no k in event 0"),
+        (EVENTS, {"probability": 90}, ValueError, "between 0 and 1"),
+        ([posterior(([0.0, 0.0], COVARIANCE), draws=10)] * 2, {}, ValueError, "at least 20 draws"),
+        ([EVENTS[0], OTHER], {}, ValueError, "with one shape"),
+    ],
+)
+def test_bad_input(events, settings, error, words):
+    with pytest.raises(error, match=words):
+        event_check(events, **settings)
+
+
+@pytest.mark.parametrize(("bound", "sign"), [(1.0, 1.0), (0.0, -1.0)])
+def test_the_shortest_interval_ends_at_the_bound(bound, sign):
+    """Of an exponential distribution; away from a bound it is equal-tailed."""
+    x = bound - sign * np.random.default_rng(1).exponential(0.1, size=4000)
+    found = interval(x, bound=bound)
+    np.testing.assert_allclose(sorted((bound, bound - sign * 0.2303)), found, atol=0.01)
+    assert bound in found
+    np.testing.assert_allclose(interval(x), np.quantile(x, [0.05, 0.95]))

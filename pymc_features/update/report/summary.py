@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from pymc_features.calibration.bounds import SHORT, interval
+from pymc_features.calibration.events import SHORT, interval
 from pymc_features.update.kinds import KINDS
 from pymc_features.update.presentation.numbers import Row
 from pymc_features.update.problem import Problem

@@ -1,0 +1,273 @@
+"""Maxima of a likelihood with what residuals say of their width: climbs, bounds nearby, several maxima."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from pymc_features.calibration.residuals import Fit, events_at, log_likelihood
+from pymc_features.calibration.sandwich import Sandwich, combined, sandwich, stretching
+from pymc_features.inference.parameters import posterior_for, to_unconstrained
+from pymc_features.inference.sample import search
+from pymc_features.smc import population_logp, prior_points
+
+DIFFERENCE = 0.02  # standard errors of independent samples that derivatives are taken over,
+WIDEST, NARROWEST = 1e-3, 1e-7  # but no more and no less than this, in coordinates
+NARROW = 1e-5  # before standard errors are known
+STEPS = 100  # towards the maximum, at most
+CONVERGED, FAILED = 1e-3, 3e-3  # standard errors of independent samples that the last step, and one that
+# leads no higher, may be long
+SHORTER = 0.3  # than the step before must one be that is taken with the derivatives of another point
+NEAR = 0.1  # of such a standard error: derivatives there are those at the maximum
+LEAST = 0.1  # of the information that the curvature is taken to have where it is less, or negative
+LONGEST, LONGEST_SHARE = 1.0, 0.25  # step of a coordinate, and of one between two bounds
+BESIDE, MUCH = 0.05, 3.0  # share of the distance between bounds; how far on the unconstrained scale
+SINGULAR = 1e-12  # of the largest relative eigenvalue: directions that change nothing
+BOUNDED = 6.0  # standard deviations from a bound that count
+STARTS = 20  # draws of which the most likely is climbed from
+CLIMBS = 4  # from the draws that are farthest from what has been climbed from or to
+CANDIDATES = 100  # draws that these are chosen from
+DISTINCT = 3.0  # standard deviations, by the residuals, between maxima that are not one
+LIGHTEST = 1e-3  # weight of a mode that is left out
+ROUNDED = 1e-12  # of what a unit change of a parameter does to the response: rounding, no residuals
+REALISATIONS = 200  # of noise on a base
+
+
+class Peak(NamedTuple):
+    """A maximum of the likelihood and its sandwich."""
+
+    fit: Fit
+    sandwich: Sandwich
+
+    @property
+    def free(self) -> np.ndarray:
+        """Coordinates (d,) where the maximum would be without bounds, by one step beyond."""
+        return self.fit.w + self.sandwich.claims @ self.fit.pushing
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviations (d,) of coordinates, NaN of what the likelihood does not know."""
+        sd = np.sqrt(np.diag(self.sandwich.covariance))
+        return np.where(sd > 0, sd, np.nan)
+
+    @property
+    def rooms(self) -> np.ndarray:
+        """Standard deviations (2, d) from the bounds of the prior to the maximum without bounds."""
+        rooms, ratio = self.fit.coordinates.rooms(self.fit.z)
+        beyond = self.free - self.fit.w
+        return (rooms / ratio + [beyond, -beyond]) / self.deviations
+
+    def distance(self, z) -> np.ndarray:
+        """Standard deviations (...,) between the maximum and unconstrained points (..., d)."""
+        apart = self.fit.coordinates.of(z) - self.fit.w
+        return np.sqrt(np.einsum("...i,ij,...j->...", apart, self.sandwich.precision, apart))
+
+    def near_bounds(self) -> np.ndarray:
+        """Parameters (d,) whose prior ends so near to the maximum that this may shape the interval.
+
+        Those that no response depends on only where their score pushes them against it.
+        """
+        room = self.rooms.min(axis=0)
+        of_response = np.any([np.any(e.sensitivities, axis=(0, 1)) for e in self.fit.events], axis=0)
+        near = (self.fit.pushing != 0) | (of_response & (room < BOUNDED))
+        return (self.fit.coordinates.sides > 0) & near
+
+    def measured_from_bounds(self, near) -> "Peak":
+        """Take coordinates where some parameters (d,) are measured from a bound."""
+        fit, ratio = self.fit.measured_from_bounds(near)
+        result, square = self.sandwich, np.outer(ratio, ratio)
+        matrices = ("information", "variability", "of_response")
+        return Peak(fit, result._replace(**{x: getattr(result, x) * square for x in matrices}))
+
+    def with_base_noise(self, predictions, sd: float) -> "Peak":
+        """Make the peak at least as wide, in every direction, as white noise on the base does [m/s^2]."""
+        noise, result = of_base_noise(predictions, self.fit, sd), self.sandwich
+        variability = combined(result.variability, noise, lambda ratios: np.maximum(ratios - 1.0, 0.0))
+        return Peak(self.fit, result._replace(variability=variability))
+
+
+def peak_at(fit: Fit, model_error="bands") -> Peak:
+    """A maximum with what the residuals there say."""
+    return Peak(fit, sandwich(fit.events, model_error))
+
+
+def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
+    """Covariance (d, d) of the score by white noise of a standard deviation [m/s^2] on the base's record.
+
+    By `REALISATIONS` of the noise: good to 5 % of a standard deviation.
+    """
+    rng, scores = np.random.default_rng(0), []
+    for _ in range(REALISATIONS):
+        pairs = zip(predictions.with_noisy_base(fit.z, sd, rng), fit.events, strict=True)
+        off = [np.einsum("stp,st->p", e.sensitivities, v.residuals - e.residuals) for v, e in pairs]
+        scores.append(sum(off))
+    return np.einsum("np,nq->pq", scores, scores) / REALISATIONS
+
+
+def fit_near(predictions, z) -> Fit:
+    """The maximum near a point (d,), if every sensor has residuals there."""
+    fit = climb_likelihood(predictions, z)
+    for event in fit.events:
+        response = (event.sensitivities**2).sum(axis=1).max(axis=-1)
+        silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > ROUNDED**2 * response))
+        if silent.size:
+            raise ValueError(
+                f"the residuals of {event.value.name} must not vanish, got none at sensor {silent[0]}: data "
+                "without noise support no estimate of their errors. Add the measurement noise, or leave out "
+                "the sensor."
+            )
+    return fit
+
+
+def best_fit(predictions, starts, rng) -> Fit:
+    """The maximum near the most likely of some points (n, d); of a model's modes without points."""
+    model = predictions.model
+    if starts is None:
+        logp = population_logp(model, predictions.space.point, {})
+        found = search(model, logp, 1000, rng, None).reference
+        starts = prior_points(model, 10 * STARTS, rng) if found is None else found.peaks
+        heights = np.add(*logp(starts)[:2])
+    else:
+        heights = [log_likelihood(predictions(z)) for z in starts] if len(starts) > 1 else [0.0]
+    return fit_near(predictions, starts[np.argmax(heights)])
+
+
+def starting_points(model, idata, name: str) -> np.ndarray:
+    """Unconstrained points (n, d) that a posterior offers: its modes where they are known, or some draws."""
+    posterior = posterior_for(model, idata, name)
+    if "modes" in idata.children and {rv.name for rv in model.free_RVs} <= set(idata["modes"].data_vars):
+        return to_unconstrained(model, idata["modes"].to_dataset().expand_dims("chain"))[0]
+    return some_draws(model, posterior)
+
+
+def some_draws(model, posterior, number=STARTS) -> np.ndarray:
+    """Unconstrained draws (n, d) of all chains, evenly spaced."""
+    every = max(1, posterior.sizes["chain"] * posterior.sizes["draw"] // number)
+    some = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
+    return some.reshape(-1, some.shape[-1])
+
+
+def distinct_peaks(predictions, idata, model_error, rng) -> list[Peak]:
+    """Maxima of the likelihood that draws of a posterior lead to and that may matter, the highest first."""
+    model = predictions.model
+    fit = best_fit(predictions, starting_points(model, idata, "idata"), rng)
+    peaks, known = [peak_at(fit, model_error)], [fit.z]
+    draws = some_draws(model, idata["posterior"].to_dataset(), CANDIDATES)
+    scale = draws.std(axis=0)
+    scale[scale == 0.0] = 1.0
+    for _ in range(min(CLIMBS, len(draws) - 1)):
+        distances = ((draws[:, None] - np.array(known)) / scale) ** 2
+        start = draws[distances.sum(axis=2).min(axis=1).argmax()]
+        fit = fit_near(predictions, start)
+        known += [start, fit.z]
+        if all(other.distance(fit.z) > DISTINCT for other in peaks):
+            peak = peak_at(fit, model_error)
+            if all(peak.distance(other.fit.z) > DISTINCT for other in peaks):
+                peaks.append(peak)
+    peaks.sort(key=lambda peak: -peak.fit.height)
+    # weights by Laplace's approximation under a flat prior, heights by the power of the highest
+    power, _ = stretching(peaks[0].sandwich.information, peaks[0].sandwich.precision)
+    widths = [np.linalg.eigvalsh(peak.sandwich.precision) for peak in peaks]
+    volumes = [-0.5 * np.log(x[x > 1e-12 * x.max()]).sum() for x in widths]
+    logs = np.array([power * p.fit.height + volume for p, volume in zip(peaks, volumes, strict=True)])
+    return [p for p, log in zip(peaks, logs, strict=True) if log > np.max(logs) + np.log(LIGHTEST)]
+
+
+def climb_likelihood(predictions, z) -> Fit:
+    """The maximum of the likelihood near a point (d,), by Levenberg's and Marquardt's method.
+
+    Derivatives, a prediction or two for each parameter, are kept for as long as steps with them become much
+    shorter from one to the next. Where residuals are large their second derivatives count; these are learnt
+    from one set of derivatives to the next. A parameter that a step would take out of its prior is from then
+    on measured from the bound, and stays within.
+    """
+    count, here = predictions.count, predictions(z)
+    fit = Fit(predictions.coordinates, z, [], log_likelihood(here))
+    if fit.height == -np.inf:
+        raise ValueError("the fit must start where the likelihood is finite. Pass another `idata`.")
+    events = events_at(predictions, z, np.full(len(z), NARROW), here, fit.coordinates, central=False)
+    fit = bounded(fit._replace(events=events), z)
+    second, damping, last, central = np.zeros((len(z), len(z))), 1e-6, np.inf, False
+    at, before = fit.w, fit.score  # where derivatives were taken
+    for _ in range(STEPS):
+        information, limits = fit.information, fit.coordinates.limits
+        longest = np.where(fit.coordinates.near & (fit.coordinates.sides == 2), LONGEST_SHARE, LONGEST)
+        curvature = combined(information, second, lambda values: np.maximum(values, LEAST - 1.0))
+        step = newton(curvature, fit.score, damping, np.clip(limits - fit.w, -longest, longest))
+        independent = information * sum((~v.gaps).sum() for v in here) / fit.claimed
+        length, moved = (np.sqrt(max(0.0, x @ independent @ x)) for x in (step, fit.w - at))
+        if length < CONVERGED and central and moved < NEAR:
+            break
+        if length < SHORTER * last and not (length < CONVERGED):
+            w = np.clip(fit.w + step, *limits)
+            values = predictions(fit.coordinates.unconstrained(w))
+            if (height := log_likelihood(values)) > fit.height:
+                here, damping, last = values, damping / 10.0, length
+                pairs = zip(fit.events, here, strict=True)
+                events = [e._replace(value=v, residuals=v.residuals) for e, v in pairs]
+                fit = fit._replace(w=w, height=height, events=events)
+                continue
+            if length < FAILED and central and moved < NEAR:
+                break
+            if moved == 0.0:
+                damping = max(damping, 1e-6) * 10.0
+                continue
+        if length < CONVERGED:  # with these derivatives, and perhaps only for its damping
+            damping = 1e-6
+        central = length < NEAR
+        scale = np.sqrt(np.diag(independent)).clip(min=np.finfo(float).tiny)
+        steps = np.clip(DIFFERENCE / scale, NARROWEST, WIDEST)
+        events = events_at(predictions, fit.w, steps, here, fit.coordinates, central)
+        anew = fit._replace(events=events)
+        if moved > 0.0:
+            second = learnt(second, fit.w - at, fit.score - anew.score, before - anew.score)
+        fit = bounded(anew, z)
+        if fit is not anew:
+            second = np.zeros_like(second)
+        at, before, last = fit.w, fit.score, np.inf
+    frequencies = predictions.frequencies(fit.z)
+    events = [e._replace(frequencies=f) for e, f in zip(fit.events, frequencies, strict=True)]
+    return fit._replace(events=events, n_evaluations=predictions.count - count)
+
+
+def bounded(fit: Fit, start) -> Fit:
+    """The fit, with parameters measured from the bound that they are beside and the next step would cross.
+
+    Beside an only bound is what has come much nearer to it since `start` (d,).
+    """
+    sides, near = fit.coordinates.sides, fit.coordinates.near
+    (low, high), ratio = fit.coordinates.rooms(fit.z)
+    step = ratio * newton(fit.information, fit.score, 0.0, (-np.inf, np.inf))
+    beside = np.where(sides == 2, low < BESIDE, fit.z < start - MUCH)
+    crosses = (sides > 0) & ~near & (beside & (step < -low) | (high < BESIDE) & (step > high))
+    return fit.measured_from_bounds(near | crosses)[0] if crosses.any() else fit
+
+
+def learnt(second, step, change, total):
+    """What second derivatives add to the information (d, d), after a step (d,) that it changed by `change`.
+
+    `total` is the change of the whole score (Dennis, Gay & Welsch, ACM Trans. Math. Softw. 7, 1981).
+    """
+    along, known = total @ step, step @ second @ step
+    if not along > 0:
+        return second
+    size = min(1.0, abs(step @ change / known)) if known else 1.0
+    off = change - size * (second @ step)
+    cross = np.outer(off, total) / along
+    return size * second + cross + cross.T - (off @ step) / along**2 * np.outer(total, total)
+
+
+def newton(information, score, damping, room):
+    """A damped Newton step (d,) within least and largest steps, none along directions that change nothing."""
+    scale = np.sqrt(np.diag(information))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    known = values > SINGULAR * values.max(initial=0.0)
+    along = vectors.T @ (score / scale)
+    step = vectors @ np.where(known, along / np.where(known, values + damping, 1.0), 0.0) / scale
+    low, high = room
+    if ((step > low) & (step < high)).all():
+        return step
+    roots = np.sqrt(np.where(known, values + damping, 0.0))
+    target = np.where(known, along / np.where(known, roots, 1.0), 0.0)
+    return lsq_linear((vectors * roots).T, target, (low * scale, high * scale), method="bvls").x / scale
