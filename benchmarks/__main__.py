@@ -47,15 +47,21 @@ def main():
     parser.add_argument("--only", choices=SECTIONS + LONG, help=HELP)
     parser.add_argument("--quick", action="store_true", help="fewer rounds and seeds (five minutes)")
     parser.add_argument("--names", nargs="+", metavar="NAME", help="problems, or parts of coverage")
+    parser.add_argument(
+        "--keep", metavar="FILE", help="keep events of 'model errors' there, and go on from it"
+    )
     arguments = parser.parse_args()
     if arguments.names and arguments.only not in LONG:
         parser.error(f"--names needs --only {' or '.join(LONG)}")
+    if arguments.keep and arguments.only != "coverage":
+        parser.error("--keep needs --only coverage")
     warnings.filterwarnings("ignore")
     confine()
     print(environment(), flush=True)
     start, cpu_start = time.perf_counter(), time.process_time()
     for section in [arguments.only] if arguments.only else SECTIONS:
-        named = {"names": arguments.names} if arguments.names else {}
+        asked = {"names": arguments.names, "keep": arguments.keep}
+        named = {name: value for name, value in asked.items() if value}
         import_module(f"benchmarks.{section}").run(arguments.quick, **named)
     seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu_start
     print(f"\n{seconds:.0f} s in all, {100.0 * cpu_seconds / seconds:.0f} % of them on the processor.")

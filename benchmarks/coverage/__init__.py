@@ -31,12 +31,12 @@ PARTS = {
 NAMES = (*PARTS, *ERRORS)
 
 
-def run(quick=False, names=None):
-    """Print the tables, or those named; kinds of error may be named as well."""
+def run(quick=False, names=None, keep=None):
+    """Print the tables, or those named; kinds of error may be named as well. `keep` is a file of events."""
     names = names or list(PARTS)
     kinds = [name for name in names if name in ERRORS]
     for name, part in PARTS.items():
         if name in names:
-            part(quick)
+            part(quick, *([keep] if part is run_model_errors else []))
     if kinds:
         run_errors(quick, kinds)
