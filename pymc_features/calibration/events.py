@@ -50,6 +50,11 @@ def event_check(
         `growth` of all parameters with their correlations, `compatible` (p-value of at least 0.05) and
         `message`, a sentence.
 
+    Raises
+    ------
+    TypeError, ValueError
+        If there are fewer than two posteriors, or they have no variable in common, of one shape.
+
     Notes
     -----
     Events that were measured on one occasion, or priors that decide a parameter in all of them, agree more

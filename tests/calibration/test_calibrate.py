@@ -124,6 +124,14 @@ def test_where_climbs_begin(y, least_squares):
         np.testing.assert_allclose(other["covariance"][:2, :2], alone["covariance"][:2, :2], rtol=1e-3)
 
 
+def test_shares_have_fewer_coordinates_than_values(y):
+    """Those of a Dirichlet prior, beside a sigma that has a bound."""
+    model = declare("NORM", y, lambda: 3.0 * pm.Dirichlet("theta", np.ones(2)))
+    found = effective_samples(at(0.3, 0.7), model=model)
+    assert found["parameter"].values.tolist() == ["theta[0]", "sigma"]
+    assert found["changes_response"].values.tolist() == [True, False]
+
+
 def test_records_in_one_model_add_up(y):
     """Two records with independent errors: A and B are sums."""
     with declare("NORM", y) as model:
