@@ -28,10 +28,9 @@ from pymc_features._checks import (
 from pymc_features.io.formats import format_of
 from pymc_features.io.formats.sources import is_source, recording_in
 from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time, without_clocks
-from pymc_features.io.reading.labels import QUANTITIES, SI
+from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.recording import Recording, Request, chosen, in_si
-from pymc_features.io.reading.units import sensitivity_of, unit_factor
 
 if TYPE_CHECKING:
     import xarray as xr

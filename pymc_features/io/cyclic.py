@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 from pymc_features._checks import as_list, check_path, message, shown
 from pymc_features.io.channels import check_column, checked_request, recording_from
-from pymc_features.io.reading.labels import role_of, unit_of
+from pymc_features.io.reading.labels import role_of, unit_factor, unit_of
 from pymc_features.io.reading.recording import Channel, Recording, chosen, in_si, named
-from pymc_features.io.reading.units import unit_factor
 from pymc_features.records import CyclicTest
 
 if TYPE_CHECKING:

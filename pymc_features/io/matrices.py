@@ -19,12 +19,20 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
+from scipy.io import mminfo
 
 from pymc_features._checks import check_path, listed
-from pymc_features.io.formats.header import column_width
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.formats.text import read_columns
-from pymc_features.io.reading.lines import Lines, by_library, check_readable, check_size, shortened, to_count
+from pymc_features.io.reading.lines import (
+    Lines,
+    by_library,
+    check_readable,
+    check_size,
+    column_width,
+    shortened,
+    to_count,
+)
 from pymc_features.io.reading.recording import Request
 
 MOST_ROWS = 10**6  # of a sparse matrix with fewer bytes in its file
@@ -41,35 +49,35 @@ class Found(NamedTuple):
 
 
 def read_mtx(path: Path) -> Found:
-    """A matrix of Matrix Market or of Abaqus, which have the same ending."""
+    """A matrix of Matrix Market or of Abaqus, which have the same ending.
+
+    SciPy reads the header only: of numbers such as 1.5x and 1.5D3 it would take the beginning.
+    """
     lines = Lines(path)
     if not lines.text.lstrip().lower().startswith("%%matrixmarket"):
         return _abaqus(path, lines)
-    words = lines.take("a banner").lower().split()
-    if len(words) != 5 or words[1] != "matrix":
-        raise lines.error(
-            'the banner must be as "%%MatrixMarket matrix coordinate real general"', repr(words[:5])
-        )
-    layout, field, symmetry = words[2:]
+    *shape, n_entries, layout, field, symmetry = mminfo(path)
     if field == "complex":
         return Found({path.stem: np.empty((1, 1), dtype=complex)})
-    if layout not in ("coordinate", "array") or field not in ("real", "double", "integer"):
-        raise lines.error("the matrix must be stored as real coordinates or array", f"{layout} {field}")
-    if symmetry not in SIGNS:
-        raise lines.error("the symmetry must be general, symmetric or skew-symmetric", symmetry)
-    while (line := lines.take("the size of the matrix")).startswith("%") or not line.strip():
-        pass
-    sizes = [to_count(word) for word in line.split()]
-    if len(sizes) != 2 + (layout == "coordinate") or None in sizes or min(sizes[:2]) < 1:
-        raise lines.error("the size must be whole numbers", repr(line.strip()[:60]))
-    if SIGNS[symmetry] and sizes[0] != sizes[1]:
-        raise lines.error("a symmetric matrix must be square", f"{sizes[0]} x {sizes[1]}")
+    square, sign = shape[0] == shape[1], SIGNS.get(symmetry)
+    if field not in ("real", "double", "integer") or sign is None or min(shape) < 1 or (sign and not square):
+        what = f"{field} {symmetry}, {shape[0]} x {shape[1]}"
+        raise lines.error("the matrix must be real, and general, symmetric or skew-symmetric", what)
+    lines.number = next(number for number, line in lines if not line.startswith("%"))  # that of the size
     body = _numbers(lines, 3 if layout == "coordinate" else 1)
+    if layout == "array":
+        check_size(path, [8 * shape[0] * shape[1]])
+        # columns one below the other; of symmetric ones the part from the diagonal on, of skew ones below it
+        stored = np.ones(shape[::-1], dtype=bool)
+        stored = np.triu(stored, 0 if sign > 0.0 else 1) if sign else stored
+        n_entries = stored.sum()
+    if len(body) != n_entries:
+        raise lines.error(f"the file must hold the {n_entries} entries that it announces", len(body))
     if layout == "coordinate":
-        if len(body) != sizes[2]:
-            raise lines.error(f"the file must hold the {sizes[2]} entries that it announces", len(body))
-        return Found({path.stem: _assembled(path, body, tuple(sizes[:2]), SIGNS[symmetry])})
-    return Found({path.stem: _dense(path, lines, body[:, 0], sizes, SIGNS[symmetry])})
+        return Found({path.stem: _assembled(path, body, tuple(shape), sign)})
+    matrix = np.zeros(shape[::-1])
+    matrix[stored] = body[:, 0]
+    return Found({path.stem: matrix.T + sign * np.triu(matrix, 1) if sign else matrix.T})
 
 
 def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
@@ -81,33 +89,17 @@ def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
     rows = (row.replace(mark, " ") for number, row in lines if number > lines.number)
     rows = [row for row in rows if row[:1] not in "*%"]
     count = len(rows[0].split()) if rows else n_columns or 0
-    if count not in ((3, 5) if n_columns is None else (n_columns,)):
-        raise ValueError(
-            f"{lines.title} must hold {n_columns} numbers in a line, got {count}. Export it again."
-            if n_columns
-            else f"{lines.title} must begin with %%MatrixMarket, or hold lines of 3 or 5 numbers as Abaqus "
-            f"writes them, got {count}. Export the matrix again."
-        )
     try:
+        if count not in ((3, 5) if n_columns is None else (n_columns,)):
+            raise ValueError(f"got {count} in the first")
         return np.loadtxt(StringIO("\n".join(rows)), ndmin=2, comments=None).reshape(-1, count)
     except ValueError as error:
-        raise ValueError(
-            f"{lines.title} must hold {count} numbers in a line ({shortened(error)}). Export it again."
-        ) from None
-
-
-def _dense(path: Path, lines: Lines, values: np.ndarray, sizes: list[int], sign: float) -> np.ndarray:
-    """Columns one below the other; of symmetric ones the part from the diagonal on, of skew ones below it."""
-    n_rows, n_columns = sizes
-    check_size(path, [8 * n_rows * n_columns])
-    stored = np.ones((n_columns, n_rows), dtype=bool)
-    if sign:
-        stored = np.triu(stored, 0 if sign > 0.0 else 1)
-    if values.size != stored.sum():
-        raise lines.error(f"the file must hold the {stored.sum()} entries that it announces", values.size)
-    matrix = np.zeros((n_columns, n_rows))
-    matrix[stored] = values
-    return matrix.T + sign * np.triu(matrix, 1) if sign else matrix.T
+        what = (
+            f"{n_columns} numbers in a line"
+            if n_columns
+            else "%%MatrixMarket above, or 3 or 5 numbers in a line"
+        )
+        raise ValueError(f"{lines.title} must hold {what} ({shortened(error)}). Export it again.") from None
 
 
 def _assembled(path: Path, entries: np.ndarray, shape: tuple[int, int], sign: float):
@@ -117,23 +109,21 @@ def _assembled(path: Path, entries: np.ndarray, shape: tuple[int, int], sign: fl
     places = entries[:, :2]
     wrong = ((places != np.rint(places)) | (places < 1) | (places > shape)).any(axis=1)
     if wrong.any():
-        raise ValueError(
-            f"{path.name}: rows and columns must be from 1 to {shape[0]} and {shape[1]}, got "
-            f"{places[wrong][0].tolist()}."
+        what = (
+            f"rows and columns must be from 1 to {shape[0]} and {shape[1]}, got {places[wrong][0].tolist()}"
         )
+        raise ValueError(f"{path.name}: {what}. Export it again.")
     rows, columns = (places - 1).astype(np.int64).T
     values, off = entries[:, 2], rows != columns
+    problem = ""
     if sign and (rows > columns).any() and (rows < columns).any():
-        raise ValueError(
-            f"{path.name}: a symmetric matrix must be stored by one half, got entries in both. Write "
-            "general in its first line if both halves are complete."
-        )
-    if sign < 0.0 and not off.all():
-        raise ValueError(f"{path.name}: a skew-symmetric matrix must have no diagonal, got entries there.")
-    if len(np.unique(rows * shape[1] + columns)) < rows.size:
-        raise ValueError(
-            f"{path.name}: entries must stand once each, got several at one place. Add them first."
-        )
+        problem = "a symmetric matrix must be stored by one half, got entries in both. Call it general"
+    elif sign < 0.0 and not off.all():
+        problem = "a skew-symmetric matrix must have no diagonal, got entries there. Correct it"
+    elif len(np.unique(rows * shape[1] + columns)) < rows.size:
+        problem = "entries must stand once each, got several at one place. Add them first"
+    if problem:
+        raise ValueError(f"{path.name}: {problem}.")
     if sign:
         rows, columns = np.r_[rows, columns[off]], np.r_[columns, rows[off]]
         values = np.r_[values, sign * values[off]]
@@ -202,17 +192,12 @@ def read_harwell_boeing(path: Path) -> Found:
     columns = np.repeat(np.arange(1, n_columns + 1), np.diff(starts).astype(np.int64))
     sign = 1.0 if kind == "RSA" else 0.0
     matrix = _assembled(path, np.column_stack([rows, columns, values]), (n_rows, n_columns), sign)
-    labels = _mapping(path.with_suffix(".mapping"), n_rows)
-    return Found({path.stem: matrix}, {path.stem: labels} if labels else {})
-
-
-def _mapping(path: Path, n_rows: int) -> list[str]:
-    """Degrees of freedom in lines of equation, node and name, UX or ROTZ; none without such a list."""
-    if not path.exists():
-        return []
-    rows = [line.split() for _, line in Lines(path)]
-    named = {int(row[0]): f"{row[1]}:{ANSYS[row[2]]}" for row in rows if row[2:3] and row[2] in ANSYS}
-    return [named.get(k, str(k)) for k in range(1, n_rows + 1)]
+    beside = path.with_suffix(".mapping")  # lines of equation, node and name, UX or ROTZ
+    if not beside.exists():
+        return Found({path.stem: matrix})
+    listed_ = [line.split() for _, line in Lines(beside)]
+    named = {int(row[0]): f"{row[1]}:{ANSYS[row[2]]}" for row in listed_ if row[2:3] and row[2] in ANSYS}
+    return Found({path.stem: matrix}, {path.stem: [named.get(k, str(k)) for k in range(1, n_rows + 1)]})
 
 
 def read_nastran(path: Path) -> Found:
@@ -298,18 +283,26 @@ def read_matrices(path: str | PathLike) -> Matrices:
         raise ValueError(
             f"{path.name} must hold matrices, it cannot be read ({shortened(error)}). Save it again."
         ) from error
-    matrices = {name: value for name, value in found.matrices.items() if _is_matrix(value)}
-    if not matrices:
+    floats = {}
+    for name, value in found.matrices.items():
+        if getattr(value, "ndim", 0) not in (1, 2) or value.dtype.kind not in "biuf" or 0 in value.shape:
+            continue
+        if sparse.issparse(value):
+            value = sparse.csc_array(value, dtype=np.float64)
+        else:
+            value = np.array(value, dtype=np.float64)
+            value = value.ravel() if 1 in value.shape and value.size > 1 else value  # MATLAB has no vectors
+        if not np.isfinite(value.data if sparse.issparse(value) else value).all():
+            raise ValueError(
+                f"{path.name}, `{name}`: entries must be finite numbers, got NaN or infinity. Correct it."
+            )
+        floats[name] = value
+    if not floats:
         held = listed(sorted(found.matrices)) if found.matrices else "nothing"
         raise ValueError(
             f"{path.name} must hold matrices of real numbers, got {held}. Save M, C and K as variables."
         )
-    floats = {name: _as_floats(value, f"{path.name}, `{name}`") for name, value in matrices.items()}
     return Matrices(floats, {name: found.labels[name] for name in floats if name in found.labels})
-
-
-def _read_mat(path: Path) -> Found:
-    return Found(load_variables(path))
 
 
 def _read_table(path: Path) -> Found:
@@ -324,11 +317,10 @@ def _read_npz(path: Path) -> Found:
     with zipfile.ZipFile(path) as file:
         check_size(path, [entry.file_size for entry in file.infolist()])
     with np.load(path, allow_pickle=False) as file:
-        names = set(file.files)
-        arrays = {name: file[name] for name in file.files}
-    if not {"format", "shape", "data"} <= names:
+        arrays = dict(file)
+    if not {"format", "shape", "data"} <= set(arrays):
         return Found(arrays)
-    check_size(path, [8 * int(size) for size in np.ravel(arrays["shape"])])
+    check_size(path, 8 * np.ravel(arrays["shape"]))
     matrix = sparse.load_npz(path)
     if matrix.format == "bsr":
         matrix.check_format(full_check=True)  # SciPy converts a damaged one to another matrix
@@ -339,34 +331,10 @@ def _read_npz(path: Path) -> Found:
 
 READERS = {
     ".mtx": read_mtx,
-    ".mat": _read_mat,
+    ".mat": lambda path: Found(load_variables(path)),
     ".npz": _read_npz,
     **dict.fromkeys((".sti", ".mas"), read_calculix),
     **dict.fromkeys((".hb", ".rsa", ".rua", ".matrix"), read_harwell_boeing),
     **dict.fromkeys((".op4", ".pch", ".bdf"), read_nastran),
     **dict.fromkeys((".csv", ".txt"), _read_table),
 }
-
-
-def _is_matrix(value) -> bool:
-    """A matrix or vector of real numbers, of more than one entry or one by one."""
-    return (
-        hasattr(value, "dtype")
-        and value.dtype.kind in "biuf"
-        and value.ndim in (1, 2)
-        and min(value.shape) > 0
-    )
-
-
-def _as_floats(value, where):
-    if sparse.issparse(value):
-        value = sparse.csc_array(value, dtype=np.float64)
-        entries = value.data
-    else:
-        value = np.array(value, dtype=np.float64)
-        entries = value
-        if value.ndim == 2 and 1 in value.shape and value.size > 1:
-            value = value.ravel()  # MATLAB has no vectors
-    if not np.isfinite(entries).all():
-        raise ValueError(f"{where}: entries must be finite numbers, got NaN or infinity. Correct them first.")
-    return value

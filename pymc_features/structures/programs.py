@@ -15,8 +15,8 @@ from scipy import sparse
 
 from pymc_features._checks import as_list, check_number, check_path, listed, message, shown, warn_caller
 from pymc_features.io import read_matrices
+from pymc_features.io.reading.labels import system_of_units
 from pymc_features.io.reading.lines import check_readable
-from pymc_features.io.reading.units import system_of_units
 from pymc_features.structures.linear import DofNames
 
 DIRECTIONS = {  # by dimensions and degrees of freedom of a node

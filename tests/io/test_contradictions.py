@@ -187,7 +187,7 @@ def test_a_peak_of_a_record_that_no_ground_has(tmp_path):
     [("100 mV/g", 0.1 / G), ("10.2mV/(m/s^2)", 0.0102), ("1.02 V per m/s²", 1.02), ("2e1 mV/Gal", 2.0)],
 )
 def test_sensitivities(text, volts):
-    from pymc_features.io.reading.units import sensitivity_of
+    from pymc_features.io.reading.labels import sensitivity_of
 
     assert sensitivity_of(text, "acceleration") == pytest.approx(volts, rel=1e-12)
     with pytest.raises(ValueError, match="`sensitivity` must be V per m/s"):

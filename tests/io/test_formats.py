@@ -216,8 +216,8 @@ REFUSED = {  # example, what is changed, to what: what is said
         "cosmos",
         "   20.000000",
         "   10.000000",
-    ): "200 points must take approx 4 s, as their line says, got 2 s by",
-    ("cosmos", "100 Real", "10x Real"): "the number of real header values must stand here",
+    ): "200 samples at 0.01 s must take the time of the header, got 4 s",
+    ("cosmos", "100 Real", "10x Real"): "the number of real header values or lines must stand here",
     (
         "csmip 2",
         "   200 points of accel",
@@ -249,13 +249,13 @@ REFUSED = {  # example, what is changed, to what: what is said
         "esm",
         "NDATA: 200",
         "NDATA: 999999999999",
-    ): "NDATA = 999999999999 samples at 0.005 s must take DURATION_S, got 1 s",
+    ): "999999999999 samples at 0.005 s must take the time of the header, got 1 s",
     ("esm", "DATA_TYPE: ACC", "DATA_TYPE: VEL"): "DATA_TYPE must be ACCELERATION, got 'VELELERATION'",
     (
         "esm",
         "SAMPLING_INTERVAL_S",
         "SAMPLING_INTERVAL_",
-    ): "the header must state SAMPLING_INTERVAL_S, got noth",
+    ): "the header must state SAMPLING_INTERVAL_S, a pos",
     (
         "nsmn",
         "NUMBER OF DATA          : 200",
@@ -271,7 +271,7 @@ REFUSED = {  # example, what is changed, to what: what is said
         "unam",
         "/0.005/0.005/0.005",
         "/0.01/0.01/0.01",
-    ): "200 samples at 0.01 s must take the duration of the he",
+    ): "200 samples at 0.01 s must take the time of the he",
 }
 
 
@@ -345,7 +345,7 @@ def test_files_without_acceleration(tmp_path, text, message):
             "cosmos",
             "acceleration pts, approx",
             "accleration pts, approx",
-            "the quantity must stand here, as acceleration",
+            "their units and quantity, as acceleration, must stand here",
         ),
         ("knet", "    9139", "    9.39", r"values must be counts, whole numbers, got '9.39'"),
     ],

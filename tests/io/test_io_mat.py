@@ -117,16 +117,6 @@ def test_cells_and_sparse_matrices_are_ignored(tmp_path):
     assert read_record(tmp_path / "m.mat", units="g", dt=0.02).n_times == 4
 
 
-def test_workspace_of_function_handles_is_ignored(save, monkeypatch):
-    contents = {"__function_workspace__": np.ones((1, 9), np.uint8), "ag": ACCELERATION}
-    listed = [("__function_workspace__", (1, 9), "uint8"), ("ag", (4,), "double")]
-    monkeypatch.setattr("pymc_features.io.formats.matlab.check_layout", lambda path: 1000)
-    monkeypatch.setattr("scipy.io.whosmat", lambda path: listed)
-    monkeypatch.setattr("scipy.io.loadmat", lambda path, **settings: contents)
-    monkeypatch.setattr(h5py, "is_hdf5", lambda path: False)
-    assert read_record(save(), units="g", dt=0.02).n_times == 4
-
-
 def test_hdf5_file_reads_no_other_file(tmp_path):
     with h5py.File(tmp_path / "other.h5", "w") as other:
         other["secret"] = ACCELERATION

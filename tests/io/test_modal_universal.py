@@ -364,7 +364,7 @@ def test_binary_numbers_that_are_shifted(tmp_path):
     raw = path.read_bytes()
     place = raw.index(HISTORIES[0, 100].tobytes())
     path.write_bytes(raw[:place] + b"\x41" + raw[place:])
-    with pytest.raises(ValueError, match="10Z: binary numbers must reach to the end of their data set"):
+    with pytest.raises(ValueError, match="10Z: binary numbers must .* reach to the end of their data set"):
         read_record(path)
 
 
@@ -374,7 +374,7 @@ def test_byte_orders(tmp_path):
     start = raw.index(b"58b")
     path.write_bytes(raw[: start + 3] + b"     3" + raw[start + 9 :])
     with pytest.raises(
-        ValueError, match="10Z: binary numbers must be IEEE, 2, of byte order 1 or 2, got 2 and 3"
+        ValueError, match="10Z: binary numbers must be IEEE, 2, of byte order 1 or 2, .* got 2 and 3"
     ):
         read_record(path)
     place = raw.index(HISTORIES[0].tobytes())

@@ -4,13 +4,12 @@ from pathlib import Path
 
 from pymc_features.io.formats.libraries import BINARY, UNIVERSAL, WAVEFORMS
 from pymc_features.io.formats.matlab import MATLAB
-from pymc_features.io.formats.strong_motion import AT2, FACTS
-from pymc_features.io.formats.strong_motion_blocks import BLOCKS
+from pymc_features.io.formats.strong_motion import STRONG_MOTION
 from pymc_features.io.formats.text import TEXT
 from pymc_features.io.reading.recording import Format, Opening, Request
 
 #: A file is read by the first entry that recognises its first lines; the last takes every file.
-FORMATS = (MATLAB, *BINARY, AT2, *BLOCKS, *FACTS, UNIVERSAL, WAVEFORMS, TEXT)
+FORMATS = (MATLAB, *BINARY, *STRONG_MOTION, UNIVERSAL, WAVEFORMS, TEXT)
 
 
 def format_of(path: Path, request: Request) -> Format:

@@ -14,6 +14,7 @@ scientific Python ecosystem, Comput. Sci. Discov. 8, 014003. National Instrument
 Structure; Reeve, A., npTDMS, https://github.com/adamreeve/npTDMS.
 """
 
+import re
 import struct
 import warnings
 from collections.abc import Callable
@@ -22,12 +23,11 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features._checks import listed, warn_caller
-from pymc_features.io.formats.matlab import load_variables, recording_of_variables
+from pymc_features.io.formats.matlab import read_matlab
 from pymc_features.io.formats.sources import channels_of, recording_in
-from pymc_features.io.reading.labels import Unit, unit_of
+from pymc_features.io.reading.labels import PLURALS, unit_of
 from pymc_features.io.reading.lines import Lines, by_library, to_count, to_number, warn_of_widths
 from pymc_features.io.reading.recording import Channel, Format, Opening, Recording, Request, even_or_times
-from pymc_features.io.reading.units import plural
 
 # --- Universal Files, by pyuff ----------------------------------------------------------------------
 
@@ -43,6 +43,10 @@ BYTE_ORDERS, IEEE = (1, 2), 2  # the least byte first, or last
 SINGLE = (2, 5)  # types of numbers in four bytes
 PER_LINE = 6  # numbers of a line, at most
 UNLABELLED = "", "none"
+#: Columns of the numbers of records 6, of types, nodes and directions, and 7, of the numbers and the step.
+COLUMNS = {6: [(0, 5), (5, 15), (15, 20), (20, 30), (41, 51), (51, 55), (66, 76), (76, 80)]}
+COLUMNS |= {7: [(0, 10), (10, 20), (20, 30), (30, 43), (43, 56), (56, 69)]}
+RIGHT = re.compile(r" *[-+]?\d[-+\d.eEdD]*")
 UNKNOWN = (0, 1)  # types of data that do not say what it is
 TYPES = {"strain": 2, "displacement": 8, "force": 9, "velocity": 11, "acceleration": 12, "pressure": 15}
 
@@ -85,88 +89,77 @@ def read_universal(path: Path, request: Request) -> Recording:
         )
     if odd := [kind for kind in dict.fromkeys(kinds) if kind not in KNOWN]:
         warn_caller(f"{path.name}: the data sets {listed(odd)} are of no known type. Is a digit of one lost?")
-    channels = [_channel(path.name, found, request.quantity) for found in sets]
-    for channel, found in zip(channels, sets, strict=True):
-        if not channel.problem:
-            _check_end(path.name, channel, found, raw)
-    begins = {channel.start for channel in channels if not channel.problem}
-    if len(begins) < 2:
+    channels = [_channel(path.name, found, request.quantity, raw) for found in sets]
+    if len({channel.start for channel in channels if not channel.problem}) < 2:
         channels = [channel._replace(start=None) for channel in channels]
     return Recording(path.name, channels)
 
 
-def _channel(file: str, found: dict, quantity: str) -> Channel:
+def _channel(file: str, found: dict, quantity: str, raw: bytes) -> Channel:
     """A time history, as its data set describes it."""
     direction = found["rsp_dir"]
     axis = AXES[abs(direction) - 1] if 1 <= abs(direction) <= len(AXES) else ""
     name = f"{found['rsp_node']}{'-' if direction < 0 else ''}{axis}"
-    where, problem = f"{file} ({NAME}), {name}", ""
+    where = f"{file} ({NAME}), {name}"
     if found["func_type"] != TIME_RESPONSE or np.iscomplexobj(found["data"]):
         problem = (
             f"{where}: functions must be time histories, type 1, got type {found['func_type']}. Identify the "
             "modes from frequency response functions first."
         )
-    elif found["ordinate_spec_data_type"] not in (*UNKNOWN, TYPES[quantity]):
+        return Channel(name, np.zeros(0), problem=problem)
+    if (kind := found["ordinate_spec_data_type"]) not in (*UNKNOWN, TYPES[quantity]):
         problem = (
-            f"{where}: histories must be {plural(quantity)}, type {TYPES[quantity]}, got type "
-            f"{found['ordinate_spec_data_type']}. Name the columns that are {plural(quantity)}."
+            f"{where}: histories must be {PLURALS[quantity]}, type {TYPES[quantity]}, got type {kind}. Name "
+            f"the columns that are {PLURALS[quantity]}."
         )
-    if problem:
         return Channel(name, np.zeros(0), problem=problem)
     values, times = np.asarray(found["data"], dtype=np.float64), np.asarray(found["x"], dtype=np.float64)
     n = found["num_pts"]
     if n < values.size < n + PER_LINE and not values[n:].any():  # the last line is filled up with zeros
         values, times = values[:n], times[:n]
-    if values.size != n or times.size != values.size or values.size < 2:
+    if values.size != n or times.size != n or n < 2 or not np.isfinite(times).all():
         raise ValueError(
             f"{where}: the {n} samples of the header must be there, at least 2, got {values.size}. Fetch the "
             "file again."
         )
-    if not np.isfinite(times).all():
-        raise ValueError(f"{where}: times must be finite numbers, got others. Fetch it again.")
-    label = found.get("abscissa_axis_units_lab", "").strip()
-    clock = Unit("time", 1.0) if label.lower() in UNLABELLED else unit_of(label)
+    if found["binary"]:  # which must reach to the end of the data set, else a byte was lost or added
+        order, stored = found["byte_ordering"], "f4" if found["ord_data_type"] in SINGLE else "f8"
+        last = values[-1:].astype(("<" if order == 1 else ">") + stored).tobytes()
+        whole = any(last + end + b"    -1" in raw for end in (b"", b"\n", b"\r\n"))
+        if order not in BYTE_ORDERS or found["fp_format"] != IEEE or not whole:
+            raise ValueError(
+                f"{where}: binary numbers must be IEEE, 2, of byte order 1 or 2, and reach to the end of "
+                f"their data set, got {found['fp_format']} and {order}. Fetch the file again."
+            )
+    label, unit = (
+        "" if text.lower() in UNLABELLED else text
+        for text in (found.get(f"{axis}_axis_units_lab", "").strip() for axis in ("abscissa", "ordinate"))
+    )
+    clock = unit_of(label or "s")
     if clock is None or clock.quantity != "time":
         raise ValueError(f"{where}: times must be in a unit of time, got {label!r}. Export seconds.")
     times = clock.factor * times
-    unit = found.get("ordinate_axis_units_lab", "").strip()
     quantum = 1e-5 * float(np.abs(times).max())  # six digits are printed
-    return Channel(
-        name,
-        values,
-        None if unit.lower() in UNLABELLED else unit,
-        **even_or_times(times, quantum, lambda row: f"{where}, sample {row}"),
-        start=float(times[0]),
-    )
-
-
-def _check_end(file: str, channel: Channel, found: dict, raw: bytes) -> None:
-    """Refuse binary numbers that do not reach to the end of their data set: a byte was lost or added."""
-    if not found["binary"]:
-        return
-    if found["byte_ordering"] not in BYTE_ORDERS or found["fp_format"] != IEEE:
-        raise ValueError(
-            f"{file} ({NAME}), {channel.name}: binary numbers must be IEEE, 2, of byte order 1 or 2, got "
-            f"{found['fp_format']} and {found['byte_ordering']}. Export them so, or as text."
-        )
-    kind = ("<" if found["byte_ordering"] == 1 else ">") + (
-        "f4" if found["ord_data_type"] in SINGLE else "f8"
-    )
-    last = channel.values[-1:].astype(kind).tobytes()
-    if not any(last + end + b"    -1" in raw for end in (b"", b"\n", b"\r\n")):
-        raise ValueError(
-            f"{file} ({NAME}), {channel.name}: binary numbers must reach to the end of their data set, they "
-            "do not. Fetch the file again."
-        )
+    spacing = even_or_times(times, quantum, lambda row: f"{where}, sample {row}")
+    return Channel(name, values, unit or None, **spacing, start=float(times[0]))
 
 
 def _check_text(path: Path) -> None:
-    """Look at the widths of the lines of numbers of data sets in text, below eleven lines of header."""
+    """Look at the columns of records 6 and 7, and at the widths of the lines of numbers, of sets in text."""
     lines = list(enumerate(Lines(path).whole, 1))
     marks = [k for k, (_, line) in enumerate(lines) if is_mark(line)]
     for first, last in zip(marks[::2], marks[1::2], strict=False):
-        if lines[first + 1][1].strip() == FUNCTIONS:
-            warn_of_widths(path.name, lines[first + 13 : last])
+        if lines[first + 1][1].strip() != FUNCTIONS:
+            continue
+        warn_of_widths(path.name, lines[first + 13 : last])
+        for record, columns in COLUMNS.items():
+            number, line = lines[min(first + 1 + record, last)]
+            cells = [line[begin:end] for begin, end in columns]
+            if odd := [cell for cell in cells if cell.strip() and not RIGHT.fullmatch(cell)]:
+                warn_caller(
+                    f"{path.name}, line {number}: numbers must stand at the right ends of their columns, got "
+                    f"{odd[0]!r}. Is a character lost or added, and nodes, directions or the step with it?"
+                )
 
 
 UNIVERSAL = Format(
@@ -182,32 +175,28 @@ UNIVERSAL = Format(
 
 VERSIONS = (6, 7)  # of the SAC header
 FEWEST_STAMPS = 3  # by which the step is told
-SAC_HEADER, SAC_VERSION, SAC_COUNT, SAC_FLOATS = 632, 304, 316, 70  # bytes, bytes, bytes, numbers
+SAC_HEADER, VERSION, COUNT = 632, 304, 316  # bytes: of it, and where version and number of values stand
 
 
 def _is_sac(opening: Opening) -> bool:
     """A header of 632 bytes, in either order, with its version, a step and the number of values."""
-    return opening.lines == [] and _sac_count(opening.head) is not None
-
-
-def _sac_count(head: bytes) -> int | None:
-    for order in "<>":
-        if len(head) >= SAC_HEADER:
-            (step,) = struct.unpack_from(f"{order}f", head, 0)
-            (version,) = struct.unpack_from(f"{order}i", head, SAC_VERSION)
-            (count,) = struct.unpack_from(f"{order}i", head, SAC_COUNT)
-            if version in VERSIONS and step > 0.0 and count > 0:
-                return count
-    return None
+    head = opening.head
+    if opening.lines or len(head) < SAC_HEADER:
+        return False
+    read = struct.unpack_from
+    found = [
+        (read(f"{o}f", head)[0], *read(f"{o}i", head, VERSION), *read(f"{o}i", head, COUNT)) for o in "<>"
+    ]
+    return any(step > 0.0 and version in VERSIONS and count > 0 for step, version, count in found)
 
 
 def _is_sac_text(opening: Opening) -> bool:
     """Five numbers in each of the first 22 lines, -12345 where one is not known."""
     lines = [line.split() for line in opening.lines[:22]]
-    whole = len(lines) == 22 and all(len(words) == 5 for words in lines)
-    if not whole or any(to_number(word) is None for words in lines for word in words):
+    words = [word for line in lines for word in line]
+    if [len(line) for line in lines] != [5] * 22 or None in map(to_number, words):
         return False
-    return to_count(lines[15][1]) in VERSIONS and sum(w.startswith("-12345") for ws in lines for w in ws) > 9
+    return to_count(lines[15][1]) in VERSIONS and sum(word.startswith("-12345") for word in words) > 9
 
 
 def _is_miniseed(opening: Opening) -> bool:
@@ -216,9 +205,10 @@ def _is_miniseed(opening: Opening) -> bool:
     return len(head) >= 48 and head[:6].isdigit() and head[6:7] in b"DRQM" and head[7:8] in b" \0"
 
 
-def _is_timeseries(opening: Opening, layout: str) -> bool:
-    words = opening.lines[0].split(",") if opening.lines else []
-    return bool(words) and words[0].startswith("TIMESERIES ") and layout in (word.strip() for word in words)
+def _is_timeseries(layout: str) -> Callable[[Opening], bool]:
+    """A first line of TIMESERIES with a layout among its words."""
+    begins = re.compile(rf"TIMESERIES (?:.*,)?\s*{layout}\s*(?:,|$)", re.MULTILINE)
+    return lambda opening: begins.match(opening.lines[0] if opening.lines else "") is not None
 
 
 #: Name of a format, as ObsPy calls it: whether a file begins like one.
@@ -226,8 +216,8 @@ KINDS: dict[str, Callable[[Opening], bool]] = {
     "SAC": _is_sac,
     "SACXY": _is_sac_text,
     "MSEED": _is_miniseed,
-    "TSPAIR": lambda opening: _is_timeseries(opening, "TSPAIR"),
-    "SLIST": lambda opening: _is_timeseries(opening, "SLIST"),
+    "TSPAIR": _is_timeseries("TSPAIR"),
+    "SLIST": _is_timeseries("SLIST"),
 }
 
 
@@ -238,14 +228,8 @@ def kind_of(opening: Opening) -> str | None:
 
 def read_waveforms(path: Path, request: Request) -> Recording:
     """All channels of a file; NaN in gaps."""
-    opening, size = Opening.of(path), path.stat().st_size
-    kind = kind_of(opening)
-    if kind == "SAC" and 4 * (_sac_count(opening.head) or 0) > size:  # before memory is taken for them
-        raise ValueError(
-            f"{path.name} must be a whole {kind} file, it announces more values than its {size} bytes "
-            "can hold. Fetch the file again."
-        )
-    options = {"checksize": True} if kind == "SAC" else {}
+    kind = kind_of(Opening.of(path))
+    options = {"checksize": True} if kind == "SAC" else {}  # before memory is taken
     with by_library("ObsPy", "seismic", path, kind):
         import obspy
 
@@ -255,7 +239,14 @@ def read_waveforms(path: Path, request: Request) -> Recording:
             warnings.filterwarnings("ignore", "Sample spacing read from SAC")  # 0.004 s in single precision
             stream = obspy.read(raw, format=kind, check_compression=False, **options)
             stream.merge(method=0)  # joins what follows, and what overlaps and agrees; masks gaps
-    _check_count(path, kind, stream)
+    if kind in ("TSPAIR", "SLIST"):  # ObsPy reads files with another number of values than they announce
+        announced = re.findall(rb"^TIMESERIES [^,]*,\s*(\d{1,12})(?![^\s,])", path.read_bytes(), re.MULTILINE)
+        found = sum(trace.data.size for trace in stream)
+        if found != sum(map(int, announced)):
+            raise ValueError(
+                f"{path.name} ({kind}) must hold the {sum(map(int, announced))} samples of its headers, got "
+                f"{found}. Fetch the file again."
+            )
     steps = stamped_steps(path, stream) if kind == "MSEED" else {}
     return Recording(path.name, channels_of(stream, f"{path.name} ({kind})", steps))
 
@@ -291,22 +282,6 @@ def stamped_steps(path: Path, stream) -> dict[str, float]:
                 f"{len(own)} records {step:.6g} s, which is used. Check the clock of the logger."
             )
     return found
-
-
-def _check_count(path: Path, kind: str, stream) -> None:
-    """Refuse text files with another number of values than their headers announce, which ObsPy reads."""
-    if kind not in ("TSPAIR", "SLIST"):
-        return
-    with path.open("rb") as file:
-        headers = [line.decode("latin-1") for line in file if line.startswith(b"TIMESERIES ")]
-    counts = [to_count("".join(line.split(",")[1:2]).strip().partition(" ")[0]) for line in headers]
-    announced = None if None in counts else sum(counts)
-    found = sum(trace.data.size for trace in stream)
-    if found != announced:
-        raise ValueError(
-            f"{path.name} ({kind}) must hold the {announced} samples of its headers, got {found}. "
-            "Fetch the file again."
-        )
 
 
 WAVEFORMS = Format(
@@ -357,11 +332,6 @@ def read_parquet(path: Path, request: Request) -> Recording:
     return recording_in(frame, request)._replace(file=path.name)
 
 
-def read_hdf5(path: Path, request: Request) -> Recording:
-    """Data sets of numbers, with their `units`; `dt` and `fs` as data sets or attributes."""
-    return recording_of_variables(load_variables(path), path.name, request)
-
-
 BINARY = (
     Format(
         "TDMS, by npTDMS",
@@ -382,6 +352,6 @@ BINARY = (
         lambda opening: opening.head[:8] == b"\x89HDF\r\n\x1a\n" and opening.suffix != ".mat",
         ".h5, .hdf5",
         "names, attributes `units`, `dt` and `fs`, a clock among its data sets",
-        read_hdf5,
+        read_matlab,
     ),
 )

@@ -1,36 +1,40 @@
-"""MATLAB .mat files: versions 4 to 7 by SciPy, 7.3 by HDF5.
+"""MATLAB .mat files: versions 4 to 7 by their layout, 7.3 and other HDF5 files by h5py.
 
 Arrays of numbers and text are read, those in structures too, as `name.field`. Objects, cells and function
 handles are passed over, nothing in the file is executed, and an HDF5 file cannot send the reader to another
-file.
+file. SciPy does not read them: it takes types and lengths as they are, and a spoilt one ends the process.
+
+Versions 5 to 7: a header of 128 bytes, then elements of a type, a number of bytes, and those bytes; an array
+is an element of elements, and may be compressed. Version 4: 20 bytes above each matrix. The MathWorks,
+MAT-File Format, sections 1 and 2.
 """
 
 import math
 import re
+import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from pymc_features._checks import listed
-from pymc_features.io.formats.matlab_layout import check_layout
 from pymc_features.io.reading.labels import Label, Unit, unit_of
-from pymc_features.io.reading.lines import check_size, shortened, to_number
+from pymc_features.io.reading.lines import check_size, most_bytes, shortened, to_number
 from pymc_features.io.reading.recording import Channel, Columns, Format, Recording, Request, recording_of
 
 #: Quantity and SI units of numbers that state the step.
 SCALARS = {"dt": ("time", 1.0)} | dict.fromkeys(("fs", "samplingrate", "samplerate"), ("frequency", 1.0))
-UNIT_NAMES = "units", "unit"
-#: Bytes of an element, of the variables that are read from versions 4 to 7.
-CLASSES = {
-    **dict.fromkeys(("double", "int64", "uint64"), 8),
-    **dict.fromkeys(("single", "int32", "uint32", "char"), 4),
-    **dict.fromkeys(("int16", "uint16"), 2),
-    **dict.fromkeys(("int8", "uint8", "logical"), 1),
-    "sparse": 0,
-    "struct": 0,
-}
 DEEPEST = 4  # structures in one another
+HEADER, VERSION = 128, b"\1\0"  # bytes, and those of the version, the least first
+COMPRESSED, ARRAY = 15, 14  # types of elements
+STRUCTURE, TEXT, SPARSE, NUMBERS = 2, 4, 5, range(6, 16)  # classes of arrays
+CHUNK = 2**16  # bytes that are decompressed at a time
+LOGICAL, COMPLEX = 0x0200, 0x0800  # flags
+#: Numbers of a type of elements, and the codec of a text.
+TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+CODECS = {1: "latin-1", 2: "latin-1", 4: "utf-16-{}", 16: "utf-8", 17: "utf-16-{}", 18: "utf-32-{}"}
+TYPES_4 = ("f8", "f4", "i4", "i2", "u2", "u1")  # by the tens of the type
 
 
 def load_variables(path: Path) -> dict[str, np.ndarray]:
@@ -38,36 +42,125 @@ def load_variables(path: Path) -> dict[str, np.ndarray]:
     import h5py
 
     try:
-        return _load_hdf5(path) if h5py.is_hdf5(path) else _load_mat(path)
-    except Exception as error:  # each damaged file fails in its own way, inside the parsers
+        if h5py.is_hdf5(path):
+            return _load_hdf5(path)
+        raw = memoryview(path.read_bytes())
+        pairs = [*(_read_4(raw) if 0 in raw[:4] else _read_5(path, raw))]  # the header of version 5 is text
+        found = {name: value for name, value in pairs if name and not name.startswith("__")}
+        names = [name for name, _ in pairs if "." not in name]
+        if len(set(names)) < len(names):
+            raise ValueError("a variable is there twice")
+        return found
+    except Exception as error:  # each damaged file fails in its own way
         kind = "a MATLAB .mat" if path.suffix.lower() == ".mat" else "an HDF5"
         raise ValueError(
             f"{path.name} must be {kind} file, it cannot be read ({shortened(error)}). Save it again."
         ) from error
 
 
-def _load_mat(path: Path) -> dict[str, np.ndarray]:
-    """Variables of versions 4 to 7; those of other classes are not even opened."""
-    from scipy.io import loadmat, whosmat
+def _read_5(path: Path, raw: memoryview) -> Iterator[tuple[str, np.ndarray]]:
+    """Names and values of the variables of versions 5 to 7."""
+    order, left = "<" if raw[HEADER - 2 : HEADER] == b"IM" else ">", most_bytes(path)
+    if bytes(raw[HEADER - 4 : HEADER - 2])[:: 1 if order == "<" else -1] != b"\0\1":
+        raise ValueError("it is of no version that is known")
+    for kind, part in _elements(raw[HEADER:], order, 1):
+        if kind == COMPRESSED:
+            inflate, whole = zlib.decompressobj(), bytearray()
+            while part and len(whole) <= left:
+                whole += inflate.decompress(part, CHUNK)
+                part = inflate.unconsumed_tail
+            if not inflate.eof:
+                raise ValueError(f"an array is cut, or must not be larger than {most_bytes(path):.3g} bytes")
+            left -= len(whole)
+            kind, part = next(_elements(memoryview(whole), order, 1), (0, b""))
+        if kind == ARRAY:
+            yield from _array_5([*_elements(part, order)], order, "", 0)
 
-    held = check_layout(path)
-    found = [entry for entry in whosmat(path) if entry[2] in CLASSES]
-    if sum(CLASSES[kind] * math.prod(map(int, shape)) for _, shape, kind in found) > 8 * held:
-        raise ValueError(f"its variables announce more than the {held} bytes that it holds")
-    check_size(path, [8 * int(shape[-1]) for _, shape, kind in found if kind == "sparse"])
-    contents = loadmat(path, variable_names=[name for name, _, _ in found])
-    return {name: value for name, value in _flat(contents, "", 0) if not name.startswith("__")}
+
+def _elements(raw: memoryview, order: str, multiple: int = 8) -> Iterator[tuple[int, memoryview]]:
+    """Types and contents of elements that follow one another, from multiples of some bytes."""
+    start = 0
+    while start + 8 <= len(raw):
+        word, size = struct.unpack_from(f"{order}II", raw, start)
+        short = word >> 16  # bytes that stand in the tag
+        first, size = (start + 4, short) if short else (start + 8, size)
+        if first + size > len(raw) or short > 4:
+            raise ValueError(f"a part announces {size} bytes, what holds it ends before")
+        yield word & 0xFFFF, raw[first : first + size]
+        start += 8 + (0 if short else multiple * math.ceil(size / multiple))
+    if start < len(raw):
+        raise ValueError(f"{len(raw) - start} bytes are left at the end of a part")
 
 
-def _flat(contents: Mapping, prefix: str, depth: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Names and arrays, of structures with the names of their fields."""
-    for name, value in contents.items():
-        kind = getattr(value, "dtype", None)
-        if kind is not None and kind.names and value.size == 1 and depth < DEEPEST:
-            fields = {field: value[field].item() for field in kind.names}
-            yield from _flat(fields, f"{prefix}{name}.", depth + 1)
-        elif kind is not None and kind.kind in "iufcbU":
-            yield prefix + name, value
+def _array_5(parts, order: str, prefix: str, depth: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Name and value of an array of numbers or text, or of those in a structure."""
+
+    def numbers(place: int) -> np.ndarray:
+        kind, part = parts[place]
+        return np.frombuffer(part, order + TYPES[kind])
+
+    if not parts:
+        return
+    flags = int(numbers(0)[0])
+    kind, dims, name = flags & 0xFF, numbers(1), prefix + bytes(parts[2][1]).decode("latin-1")
+    if kind == STRUCTURE and dims.prod() == 1 and depth < DEEPEST:
+        width, names = int(numbers(3)[0]), bytes(parts[4][1])
+        for k, (_, part) in enumerate(parts[5:]):
+            field = names[k * width : (k + 1) * width].split(b"\0")[0].decode("latin-1")
+            inner = [*_elements(part, order)]
+            yield from _array_5(inner, order, f"{name}.{field}", depth + 1)
+    elif kind == TEXT and dims.prod() and len(parts[3][1]):
+        codec = CODECS[parts[3][0]].format("le" if order == "<" else "be")
+        rows = np.array(list(bytes(parts[3][1]).decode(codec))).reshape(dims, order="F")
+        yield name, np.array(["".join(row) for row in rows.reshape(-1, dims[-1])])
+    elif kind == SPARSE:
+        # of logical ones the type is that of doubles, whatever they are
+        data = np.frombuffer(parts[5][1], np.uint8) if flags & LOGICAL else numbers(5)
+        data = data + 1j * numbers(6) if flags & COMPLEX else data
+        yield name, _compressed(dims[0], numbers(4), numbers(3), data)
+    elif kind in NUMBERS:
+        values = numbers(3) + 1j * numbers(4) if flags & COMPLEX else numbers(3)
+        yield name, values.reshape(dims, order="F")
+
+
+def _read_4(raw: memoryview) -> Iterator[tuple[str, np.ndarray]]:
+    """Names and values; type, rows, columns, whether complex, and length of the name stand above each."""
+    start, order = 0, "<" if int.from_bytes(raw[:4], "little") <= 5000 else ">"  # of all
+    while start + 20 <= len(raw):
+        kind, rows, columns, imaginary, n_name = struct.unpack_from(f"{order}5I", raw, start)
+        stored, content, first = np.dtype(order + TYPES_4[kind // 10 % 10]), kind % 10, start + 20 + n_name
+        name, start = start + 20, first + rows * columns * (1 + imaginary) * stored.itemsize
+        if kind >= 5000 or imaginary > 1 or content > 2 or start > len(raw):
+            raise ValueError(f"a matrix announces {rows} x {columns} numbers, the file ends before")
+        parts = np.frombuffer(raw[first:start], stored).reshape(1 + imaginary, columns, rows)
+        values = (parts[0] + 1j * parts[1] if imaginary else parts[0]).T
+        if content == 1:  # text
+            values = np.array(["".join(map(chr, row)) for row in values.astype(np.int64)])
+        elif content == 2:  # sparse: rows, columns and entries, with the shape at their ends
+            from scipy import sparse
+
+            *entries, shape = values.astype(np.float64)
+            places, data = np.array(entries)[:, :2].astype(np.int64).T - 1, np.array(entries)[:, 2:]
+            data = data[:, 0] + 1j * data[:, 1] if data.shape[1] > 1 else data[:, 0]
+            values = sparse.csc_array((data, tuple(places)), shape=shape[:2].astype(np.int64))
+        yield bytes(raw[name:first]).split(b"\0")[0].decode("latin-1"), values
+
+
+def _compressed(n_rows: int, starts: np.ndarray, rows: np.ndarray, data: np.ndarray):
+    """A sparse matrix of compressed columns, all of whose entries are in it."""
+    from scipy import sparse
+
+    n_entries = int(starts[-1])
+    rows, starts, given = (
+        rows[:n_entries].astype(np.int64),
+        starts.astype(np.int64),
+        (rows[:n_entries], starts),
+    )
+    if (rows != given[0]).any() or (starts != given[1]).any():
+        raise ValueError("places in a sparse matrix must be whole numbers")
+    matrix = sparse.csc_array((data[:n_entries], rows, starts), shape=(int(n_rows), starts.size - 1))
+    matrix.check_format()
+    return matrix
 
 
 def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
@@ -79,18 +172,44 @@ def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
 
     variables, sizes = {}, []
 
+    def inside(group, name: str):
+        """What a name stands for, if that is in the file itself."""
+        return group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+
+    def array(item) -> np.ndarray | None:
+        pairs = item.dtype.names == ("real", "imag")
+        kind = str(_text(item.attrs.get("MATLAB_class", "double")))
+        is_number = kind in ("double", "single", "char") or kind.startswith(("int", "uint"))
+        if item.external or item.is_virtual or "MATLAB_empty" in item.attrs or not is_number:
+            return None
+        if item.dtype.kind not in "iuf" and not pairs:
+            return None
+        sizes.append(item.nbytes)
+        check_size(path, sizes)
+        held = item.id.get_storage_size()
+        if item.chunks:  # which may be compressed
+            held = item.id.get_num_chunks() * item.dtype.itemsize * math.prod(item.chunks)
+        if item.nbytes > held:
+            raise ValueError(f"`{item.name}` announces {item.nbytes:.3g} bytes, the file holds {held}")
+        if kind == "char":
+            return np.array(["".join(map(chr, np.ravel(item[()])))])
+        values = item[()].T
+        return values["real"] + 1j * values["imag"] if pairs else values
+
     def read(group, prefix: str, depth: int) -> None:
         for key in {"dt", "fs", "units"} & set(group.attrs):
             variables[prefix + key] = np.asarray(_text(group.attrs[key]))
         for name in group:
-            item = group[name] if _is_inside(group, name) and not name.startswith("#") else None
+            item = None if name.startswith("#") else inside(group, name)
             if isinstance(item, h5py.Group) and "MATLAB_sparse" in item.attrs:
-                variables[prefix + name] = _sparse(path, item)
+                parts = [np.ravel(array(inside(item, part))) for part in ("jc", "ir", "data") if part in item]
+                parts += [np.zeros(0, np.int64)] * (3 - len(parts))  # without entries there are columns alone
+                variables[prefix + name] = _compressed(item.attrs["MATLAB_sparse"], *parts)
             elif isinstance(item, h5py.Group) and depth < DEEPEST:
                 read(item, f"{prefix}{name}.", depth + 1)
-            elif isinstance(item, h5py.Dataset) and (array := _array(path, item, sizes)) is not None:
+            elif isinstance(item, h5py.Dataset) and (values := array(item)) is not None:
                 unit = _text(item.attrs.get("units", item.attrs.get("unit", "")))
-                variables[f"{prefix}{name} [{unit}]" if unit else prefix + name] = array
+                variables[f"{prefix}{name} [{unit}]" if unit else prefix + name] = values
                 for key in {"dt", "fs"} & set(item.attrs):
                     variables[prefix + key] = np.asarray(_text(item.attrs[key]))
 
@@ -102,64 +221,6 @@ def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
 def _text(value):
     """An attribute, of which texts may be bytes."""
     return value.decode() if isinstance(value, bytes) else value
-
-
-def _is_inside(group, name: str) -> bool:
-    """Whether a name is that of something in the file itself."""
-    import h5py
-
-    return isinstance(group.get(name, getlink=True), h5py.HardLink)
-
-
-def _array(path: Path, item, sizes: list[int]) -> np.ndarray | None:
-    """Numbers or text of a data set that is stored in the file itself."""
-    pairs = item.dtype.names == ("real", "imag")
-    if item.external or item.is_virtual or "MATLAB_empty" in item.attrs:
-        return None
-    if item.dtype.kind not in "iuf" and not pairs:
-        return None
-    sizes.append(_stored_size(item))
-    check_size(path, sizes)
-    kind = str(_text(item.attrs.get("MATLAB_class", "double")))
-    if kind == "char":
-        return np.array(["".join(map(chr, np.ravel(item[()])))])
-    if not (kind in ("double", "single") or kind.startswith(("int", "uint"))):
-        return None
-    values = item[()].T
-    return values["real"] + 1j * values["imag"] if pairs else values
-
-
-def _stored_size(item) -> int:
-    """Bytes of a data set, all of which must be in the file."""
-    n_bytes = item.dtype.itemsize * math.prod(map(int, item.shape))
-    if item.chunks is None:
-        held = item.id.get_storage_size()
-    else:
-        held = item.id.get_num_chunks() * item.dtype.itemsize * math.prod(map(int, item.chunks))
-    if n_bytes > held:
-        raise ValueError(f"`{item.name}` announces {n_bytes:.3g} bytes, the file holds {held}")
-    return n_bytes
-
-
-def _sparse(path: Path, group):
-    """A sparse matrix, which is a group of compressed columns."""
-    from scipy import sparse
-
-    names = [name for name in ("jc", "data", "ir") if group.get(name, getlink=True) is not None]
-    parts = {name: _array(path, group[name], []) if _is_inside(group, name) else None for name in names}
-    if any(part is None for part in parts.values()) or "jc" not in parts:
-        raise ValueError(f"`{group.name}` is no sparse matrix of numbers")
-    starts, rows = (np.ravel(parts.get(name, [])) for name in ("jc", "ir"))
-    for places in (starts, rows):
-        if not ((places >= 0) & (places < 2**62) & (places == np.rint(places))).all():
-            raise ValueError(f"`{group.name}` must hold places from 0 on")
-    shape = int(group.attrs["MATLAB_sparse"]), starts.size - 1
-    matrix = sparse.csc_array(shape)
-    if "data" in parts:
-        places = rows.astype(np.int64), starts.astype(np.int64)
-        matrix = sparse.csc_array((np.ravel(parts["data"]), *places), shape=shape)
-    matrix.check_format()
-    return matrix
 
 
 # --- channels ---------------------------------------------------------------------------------------
@@ -174,7 +235,7 @@ def recording_of_variables(variables: Mapping, file: str, request: Request) -> R
     """The vectors and matrices among some variables on their clocks."""
     groups: dict[tuple[str, int], dict[str, np.ndarray]] = {}
     for name, value in variables.items():
-        if value.dtype.kind in "iuf" and value.size > 1 and value.ndim <= 2:
+        if isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and value.size > 1 and value.ndim <= 2:
             array = np.squeeze(value)
             groups.setdefault((_inside(name), max(array.shape)), {})[name] = array
     channels = []
@@ -263,7 +324,9 @@ def _stated_units(facts: Mapping, inside: str, file: str) -> str | None:
     texts = {
         _inside(name): str(value.item()).strip()
         for name, value in facts.items()
-        if name.lower().rpartition(".")[2] in UNIT_NAMES and value.dtype.kind == "U" and value.size == 1
+        if name.lower().rpartition(".")[2] in ("units", "unit")
+        and value.dtype.kind == "U"
+        and value.size == 1
     }
     if len(set(texts.values())) > 1:
         said = listed(sorted(texts.values()))

@@ -1,33 +1,106 @@
-"""Strong-motion records whose header states facts by name: PEER AT2, ESM, K-NET and KiK-net, NSMN, UNAM.
+"""Strong-motion records: PEER AT2, ESM, K-NET, NSMN and UNAM; COSMOS, CSMIP, GeoNet and SMC in blocks.
 
-A reader takes the lines of a file and gives its channels and the name of the recording; `FACTS` is their
-table. Pacific Earthquake Engineering Research Center, AT2 (spellings have varied over the decades). Luzi, L.
-et al. (2016), Engineering Strong Motion database, Seism. Res. Lett. 87, 987-997, with the labels of DYNA 1.2,
-in which the Turkish TADAS exports too. National Research Institute for Earth Science and Disaster Resilience,
-About K-NET ASCII format, https://www.kyoshin.bosai.go.jp/kyoshin/man/knetform_en.html. Disaster and Emergency
-Management Authority (AFAD), text files of the Turkish National Strong Motion Network,
-https://tadas.afad.gov.tr. Sociedad Mexicana de Ingenieria Sismica, archivo estandar de aceleracion 2.0.
+A reader takes the lines of a file and gives its channels, or these and the name of the recording;
+`STRONG_MOTION` is their table. Pacific Earthquake Engineering Research Center, AT2 (spellings have varied
+over the decades). Luzi, L. et al. (2016), Engineering Strong Motion database, Seism. Res. Lett. 87,
+987-997, with the labels of DYNA 1.2, in which the Turkish TADAS exports too. National Research Institute
+for Earth Science and Disaster Resilience, About K-NET ASCII format,
+https://www.kyoshin.bosai.go.jp/kyoshin/man/knetform_en.html. Disaster and Emergency Management Authority
+(AFAD), text files of the Turkish National Strong Motion Network, https://tadas.afad.gov.tr. Sociedad
+Mexicana de Ingenieria Sismica, archivo estandar de aceleracion 2.0. COSMOS Strong Motion Data Format,
+version 1.20, 2001, Tables 2 (units), 9 (text), 10 (integers) and 11 (reals). Shakal, A. F. and Huang, M. J.
+(1985), Standard Tape Format for CSMIP Strong-Motion Data Tapes, OSMS 85-03. GNS Science, GeoNet
+strong-motion data, formats of volumes 1 and 2,
+https://www.geonet.org.nz/data/supplementary/strong_motion_file_formats. U.S. Geological Survey, SMC-format
+Data Files, sections 3 and 4, https://escweb.wr.usgs.gov/nsmp-data/smcfmt.html.
 """
 
 import re
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from io import StringIO
 
 import numpy as np
 
 from pymc_features._checks import warn_caller
-from pymc_features.io.formats.header import (
-    check_end,
-    check_peak,
-    check_sections,
+from pymc_features.io.reading.labels import known_factor
+from pymc_features.io.reading.lines import (
+    Lines,
     column_width,
-    demand,
-    format_of_lines,
-    labelled,
+    not_a_number,
+    to_count,
+    to_number,
+    warn_of_widths,
 )
-from pymc_features.io.reading.lines import Lines, not_a_number, to_count, to_number, warn_of_widths
-from pymc_features.io.reading.recording import Channel
-from pymc_features.io.reading.units import known_factor
+from pymc_features.io.reading.recording import Channel, Format, Opening, Recording, even_or_times
+
+NO_SPECTRA = "the file must hold accelerations", "spectra (V3)", "Read the V2 file."
+
+# --- what headers state -----------------------------------------------------------------------------
+
+
+def positive(lines: Lines, value: float | None, what: str) -> float:
+    """A number that the header must state."""
+    if value is None or not 0 < value < np.inf:
+        raise lines.error(f"the header must state {what}, a positive number", value)
+    return value
+
+
+def number_after(text: str, phrase: str) -> float | None:
+    """The number that follows a phrase, in any case; None where there is none."""
+    place = text.lower().find(phrase)
+    words = text[place + len(phrase) :].split() if place >= 0 else []
+    numbers = (to_number(word.rstrip(",;")) for word in words[:2])  # an equals sign may stand between them
+    return next((number for number in numbers if number is not None and np.isfinite(number)), None)
+
+
+def unit_in(text: str) -> str | None:
+    """The first unit of acceleration among the words of a line, "cm/sec2" for example."""
+    words = (word.strip(".;:") for word in re.split(r"[()=,\s]", text))
+    return next((word for word in words if known_factor(word) is not None), None)
+
+
+def check_peak(lines: Lines, name: str, values: np.ndarray, stated: float | None) -> None:
+    """Warn if the peak of the values is not the one that the file states, in the same unit."""
+    peak, stated = float(np.abs(values).max(initial=0.0)), abs(stated or 0.0)
+    if stated > 0.0 and values.size and abs(peak - stated) > 0.02 * stated + 0.005:
+        warn_caller(
+            f"{lines.title}, {name}: the file states a peak of {stated:.4g}, its values have {peak:.4g}. Is "
+            "it damaged?"
+        )
+
+
+def check_duration(lines: Lines, count: int, dt: float, stated: float | None, slack: tuple) -> None:
+    """Refuse samples that take another time [s] than the header states; `slack` [s], and of it."""
+    if stated is not None and abs(stated - count * dt) > slack[0] + slack[1] * stated:
+        raise lines.error(f"{count} samples at {dt:g} s must take the time of the header", f"{stated:g} s")
+
+
+def check_end(lines: Lines, what: str) -> None:
+    """Refuse anything but blanks below the values."""
+    if (line := lines.peek()) is not None:
+        raise lines.error(f"nothing may follow {what}", repr(line.strip()[:60]))
+
+
+def labelled(lines: Lines, end: str | None = None, most: int = 300) -> dict[str, str]:
+    """Facts by their labels, `LABEL: value`, down to a line that begins with `end` or to the first number.
+
+    A label is in capitals and stays with its first value. The line that begins with `end` is taken, a number
+    is not.
+    """
+    facts = {}
+    for _ in range(most):
+        following = (lines.peek() or "").split()
+        if end is None and following and None not in map(to_number, following):
+            return facts
+        line = lines.take("a header and values")
+        if end is not None and line.strip().upper().startswith(end):
+            return facts
+        label, colon, value = line.partition(":")
+        if colon:
+            facts.setdefault(" ".join(label.upper().split()), value.strip())
+    raise lines.error(f"the header must end within {most} lines", "more")
+
 
 # --- PEER AT2: what the values are, how many (NPTS) and how far apart (DT), in any words -------------
 
@@ -52,7 +125,7 @@ def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
     for number, line in lines:
         # Fortran glues a value to the one before it when both fill their fields
         tokens = _GLUED.sub(r" \1", line.replace(",", " ")).split()
-        if values or (number > npts and tokens and all(to_number(token) is not None for token in tokens)):
+        if values or (number > npts and tokens and None not in map(to_number, tokens)):
             if line.startswith("***"):  # *** End Data ***
                 break
             for token in tokens:
@@ -71,23 +144,23 @@ def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
     warn_of_widths(lines.title, (row for row in rows if first <= row[0] <= last and row[1].strip()))
     text = "\n".join(header)
     both = _NPTS_DT.search(text)
-    found = both.groups() if both else [m and m[1] for m in (_NPTS.search(text), _DT.search(text))]
-    if found[0] and len(values) != int(found[0]):
+    count, step = both.groups() if both else [m and m[1] for m in (_NPTS.search(text), _DT.search(text))]
+    if count and len(values) != int(count):
         raise ValueError(
-            f"{lines.title} must hold the NPTS = {int(found[0])} values its header announces, got "
+            f"{lines.title} must hold the NPTS = {int(count)} values its header announces, got "
             f"{len(values)}. Fetch the file again or correct the header."
         )
-    if not found[0] and "NPTS" in text.upper():
+    if not count and "NPTS" in text.upper():
         raise ValueError(f"{lines.title} must state NPTS as a whole number, it does not. Correct the header.")
-    if not found[0] and found[1]:
+    if not count and step:
         warn_caller(
             f"{lines.title} states its step, but no number of values (NPTS) to compare with. Is it whole?"
         )
-    step = to_number(found[1]) if found[1] else None  # DT = 0 states nothing
     unit, words = _UNITS.search(text), _ACCELERATION_IN.search(text)
     if unit is None and words is not None and known_factor(words[1]) is not None:
         unit = words
     dated = [line for line in header if _DATE.search(line)]
+    step = to_number(step) if step else None  # DT = 0 states nothing
     channel = Channel(lines.stem, np.array(values), unit and unit[1], step or None)
     return [channel], dated[0] if len(dated) == 1 else None
 
@@ -98,16 +171,10 @@ def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
 def read_esm(lines: Lines) -> tuple[list[Channel], str]:
     """One component."""
     facts = labelled(lines)
-    n_times = to_count(demand(lines, facts, "NDATA"))
-    dt = to_number(demand(lines, facts, "SAMPLING_INTERVAL_S"))
-    check_sections(lines, {"NDATA": n_times, "SAMPLING_INTERVAL_S": dt})
-    duration = to_number(facts.get("DURATION_S", ""))
-    if duration is not None and abs(duration - n_times * dt) > 1.5 * dt + 0.01 * duration:
-        raise lines.error(
-            f"NDATA = {n_times} samples at {dt:g} s must take DURATION_S", f"{duration:g} s", "Correct it."
-        )
-    kind = demand(lines, facts, "DATA_TYPE")
-    if kind.upper() != "ACCELERATION":
+    n_times = positive(lines, to_count(facts.get("NDATA", "")), "NDATA")
+    dt = positive(lines, to_number(facts.get("SAMPLING_INTERVAL_S", "")), "SAMPLING_INTERVAL_S")
+    check_duration(lines, n_times, dt, to_number(facts.get("DURATION_S", "")), (1.5 * dt, 0.01))
+    if (kind := facts.get("DATA_TYPE", "")).upper() != "ACCELERATION":
         raise lines.error("DATA_TYPE must be ACCELERATION", repr(kind), "Fetch the file of the acceleration.")
     values = lines.words(n_times, "values, NDATA")
     check_end(lines, f"the NDATA = {n_times} values")
@@ -116,8 +183,8 @@ def read_esm(lines: Lines) -> tuple[list[Channel], str]:
     start, text = None, facts.get("DATE_TIME_FIRST_SAMPLE_YYYYMMDD_HHMMSS", "")
     if text:
         whole, _, fraction = text.partition(".")
-        example = "the time of the first sample must be as 20190728_160919.870"
-        start = _moment(lines, whole, "%Y%m%d_%H%M%S", example) + (to_number(f"0.{fraction}") or 0.0)
+        start = _moment(lines, whole, "%Y%m%d_%H%M%S", "20190728_160919.870")
+        start += to_number(f"0.{fraction}") or 0.0
     station = f"{facts.get('NETWORK', '')}.{facts.get('STATION_CODE', '')} {name}".strip(". ")
     return [Channel(name, values, facts.get("UNITS") or None, dt, start=start)], station
 
@@ -127,20 +194,20 @@ def _moment(lines: Lines, text: str, form: str, example: str) -> float:
     try:
         return datetime.strptime(text, form).replace(tzinfo=UTC).timestamp()
     except ValueError:
-        raise lines.error(example, repr(text)) from None
+        raise lines.error(f"the time of the record must be as {example}", repr(text)) from None
 
 
 # --- K-NET and KiK-net: counts below seventeen lines -------------------------------------------------
 
-KNET = {  # label of a line in lower case without stops: what it states
-    "station code": "station",
-    "record time": "time",
-    "sampling freq(hz)": "rate",
-    "duration time(s)": "duration",
-    "dir": "direction",
-    "scale factor": "scale",
-    "max acc (gal)": "peak",
-}
+KNET = (
+    "station code",
+    "record time",
+    "sampling freq(hz)",
+    "duration time(s)",
+    "dir",
+    "scale factor",
+    "max acc (gal)",
+)
 DIRECTIONS = {"1": "NS1", "2": "EW1", "3": "UD1", "4": "NS2", "5": "EW2", "6": "UD2"}  # 2: at the surface
 DELAY = 15.0 + 9 * 3600.0  # [s], of the trigger, and of Japanese time on UTC
 
@@ -152,28 +219,28 @@ def read_knet(lines: Lines) -> tuple[list[Channel], str]:
         words = lines.take("17 lines of header").split()
         if words[:1] == ["Memo."]:
             break
-        for label, name in KNET.items():
+        for label in KNET:
             n_words = len(label.split())
             if " ".join(words[:n_words]).replace(".", "").lower() == label:
-                found[name] = " ".join(words[n_words:])
+                found[label] = " ".join(words[n_words:])
     else:
         raise lines.error("line 17 must be the memo", repr(" ".join(words)[:60]))
-    if missing := [label for label, name in KNET.items() if not found.get(name)]:
+    if missing := [label for label in KNET if not found.get(label)]:
         raise lines.error(f"the header must state {', '.join(missing)}", "nothing")
-    rate, duration = to_count(found["rate"].lower().removesuffix("hz").strip()), to_number(found["duration"])
-    check_sections(lines, {"the sampling frequency": rate, "the duration": duration})
-    above, _, below = found["scale"].lower().partition("(gal)/")
-    full, scale = to_number(above.strip()), to_number(below.strip())
-    check_sections(lines, {"the scale factor, as 3920(gal)/6182761": full, "the counts of the scale": scale})
+    station, time, rate, duration, direction, scale, peak = (found[label] for label in KNET)
+    rate = positive(lines, to_count(rate.lower().removesuffix("hz").strip()), "the sampling frequency")
+    duration = positive(lines, to_number(duration), "the duration")
+    scales = [to_number(part.strip()) for part in scale.lower().split("(gal)/")]
+    full, scale = (
+        positive(lines, part, "the scale factor, as 3920(gal)/6182761") for part in [*scales, None][:2]
+    )
     counts = lines.words(round(rate * duration), "values, frequency times duration", whole=True)
     check_end(lines, "the values, frequency times duration")
     gal = full / scale * (counts - counts.mean())
-    direction = DIRECTIONS.get(found["direction"], found["direction"])
-    check_peak(lines, direction, gal, to_number(found["peak"]))
-    example = "the record time must be as 2006/01/18 23:25:46"
-    start = _moment(lines, found["time"], "%Y/%m/%d %H:%M:%S", example) - DELAY
-    name = f"{found['station']} {direction}, {found['time']}"
-    return [Channel(direction, gal, "gal", 1.0 / rate, start=start)], name
+    direction = DIRECTIONS.get(direction, direction)
+    check_peak(lines, direction, gal, to_number(peak))
+    start = _moment(lines, time, "%Y/%m/%d %H:%M:%S", "2006/01/18 23:25:46") - DELAY
+    return [Channel(direction, gal, "gal", 1.0 / rate, start=start)], f"{station} {direction}, {time}"
 
 
 # --- NSMN and UNAM: columns of all directions ---------------------------------------------------------
@@ -184,13 +251,10 @@ def read_nsmn(lines: Lines) -> list[Channel]:
     lines.take("a title")
     facts = labelled(lines, "N-S")  # so begins the line with the directions
     directions = lines.last.split()
-    n_times = to_count(demand(lines, facts, "NUMBER OF DATA"))
-    dt = to_number(demand(lines, facts, "SAMPLING INTERVAL (SEC)"))
-    check_sections(lines, {"the number of data": n_times, "the sampling interval": dt})
-    per_line = len(directions)
-    values = lines.words(n_times * per_line, "rows, the number of data", per_line=per_line).reshape(
-        -1, per_line
-    )
+    n_times = positive(lines, to_count(facts.get("NUMBER OF DATA", "")), "NUMBER OF DATA")
+    dt = positive(lines, to_number(facts.get("SAMPLING INTERVAL (SEC)", "")), "SAMPLING INTERVAL (SEC)")
+    width = len(directions)
+    values = lines.words(n_times * width, "rows, the number of data", per_line=width).reshape(-1, width)
     check_end(lines, f"the {n_times} rows")
     return [Channel(name, column, "gal", dt) for name, column in zip(directions, values.T, strict=True)]
 
@@ -198,70 +262,302 @@ def read_nsmn(lines: Lines) -> list[Channel]:
 def read_unam(lines: Lines) -> list[Channel]:
     """The channels of a file."""
     facts = labelled(lines, "DATOS DE ACELERACION")
-    directions = _between_slashes(facts, "ORIENTACION C1-C6", "ORIENTACION C7-C12")
-    counts = {to_count(text) for text in _between_slashes(facts, "NUM. TOTAL DE MUESTRAS")}
-    steps = {to_number(text) for text in _between_slashes(facts, "INTERVALO DE MUESTREO")}
+
+    def listed(*labels: str) -> list[str]:
+        """What stands between the slashes behind labels that begin so, "/N00E/N90E/V"."""
+        found = [facts[key] for key in facts if key.startswith(labels)]
+        return [part.strip() for text in found for part in text.split("/") if part.strip()]
+
+    directions = listed("ORIENTACION C1-C6", "ORIENTACION C7-C12")
+    counts = {to_count(text) for text in listed("NUM. TOTAL DE MUESTRAS")}
+    steps = {to_number(text) for text in listed("INTERVALO DE MUESTREO")}
     if not directions or len(counts) != 1 or len(steps) != 1:
         raise lines.error(
             "the header must state orientations, one number of samples and one interval for all channels",
             f"{len(directions)} orientations, {len(counts)} numbers, {len(steps)} intervals",
         )
-    n_times, dt = counts.pop(), steps.pop()
-    check_sections(lines, {"the number of samples": n_times, "the interval": dt})
-    for text in _between_slashes(facts, "DURACION DEL REGISTRO"):
-        duration = to_number(text)
-        # a decimated file may state the step of the recorder
-        if duration is not None and abs(duration - n_times * dt) > 2.0 * dt + 0.01 * duration:
-            raise lines.error(
-                f"{n_times} samples at {dt:g} s must take the duration of the header", f"{duration:g} s"
-            )
-    unit = demand(lines, facts, "UNIDADES DE LOS DATOS").split()[0]
+    n_times = positive(lines, counts.pop(), "the number of samples")
+    dt = positive(lines, steps.pop(), "the interval")
+    for text in listed("DURACION DEL REGISTRO"):  # a decimated file may state the step of the recorder
+        check_duration(lines, n_times, dt, to_number(text), (2.0 * dt, 0.01))
+    unit = facts.get("UNIDADES DE LOS DATOS", "").split()[:1]
     for _ in range(4):
         lines.take("four lines of titles above the values")
     width = column_width("(" + next((facts[key] for key in facts if key.startswith("FORMATO DATOS")), ""), 10)
     values = lines.fields(n_times * len(directions), width, "values").reshape(-1, len(directions))
     check_end(lines, f"the {n_times} rows")
-    peaks = [to_number(text) for text in _between_slashes(facts, "ACEL. MAX.(GAL)")]
+    peaks = [to_number(text) for text in listed("ACEL. MAX.(GAL)")]
     for name, column, peak in zip(directions, values.T, [*peaks, *[None] * len(directions)], strict=False):
         check_peak(lines, name, column, peak)
-    return [Channel(name, column, unit, dt) for name, column in zip(directions, values.T, strict=True)]
+    return [Channel(name, column, *unit, dt=dt) for name, column in zip(directions, values.T, strict=True)]
 
 
-def _between_slashes(facts: dict[str, str], *labels: str) -> list[str]:
-    """What stands between the slashes behind labels that begin so, "/N00E/N90E/V"."""
-    found = [facts[key] for key in facts if key.startswith(labels)]
-    return [part.strip() for text in found for part in text.split("/") if part.strip()]
+# --- COSMOS V0 to V2: text, integers, reals and comments above each series ------------------------
+
+UNITS = {
+    2: (1.0, "g"),
+    4: (1.0, "cm/s^2"),
+    7: (0.0254, "m/s^2"),
+    10: (1.0, "gal"),
+    11: (1e-3, "g"),
+    12: (1e-6, "g"),
+}
+QUANTITIES = ("accel", "veloc", "displ", "rotat", "angul", "press", "strain", "speed")
+STEP, RAW_STEP, PEAK = 61, 33, 63  # reals: of the series [ms], of the recorder [s], signed
 
 
-AT2 = format_of_lines(
-    "PEER AT2",
-    lambda opening: (
-        opening.suffix == ".at2"
-        or any("NPTS" in line and "DT" in line for line in map(str.upper, opening.lines[:20]))
+def _text(lines: Lines, count: int, what: str) -> list[str]:
+    """Lines of text, from the next one that is not blank."""
+    while not (first := lines.take(what)).strip():
+        pass
+    return [first, *(lines.take(f"{count} lines of text") for _ in range(count - 1))]
+
+
+def read_cosmos(lines: Lines) -> list[Channel]:
+    """All accelerations of a file, each below headers of its own."""
+    channels = []
+    while (line := lines.peek()) is not None:
+        if "(format v" not in line.lower():
+            raise lines.error("the next channel must begin with its format version", repr(line.strip()[:60]))
+        first = _text(lines, 1, "a channel")[0].lower()
+        if "spectr" in first:
+            raise lines.error(*NO_SPECTRA)
+        n_text = to_count(next(iter(first.rpartition("with")[2].split()), ""))
+        n_text = positive(lines, n_text, "the number of text lines")
+        text = [lines.take(f"{n_text} lines of text") for _ in range(n_text - 1)]
+        _announced(lines, "integer", 8)
+        reals = _announced(lines, "real", 13)
+        _announced(lines, "comment")
+        name = " ".join(text[7].partition("(")[0].split()[2:]) if n_text > 8 else ""
+        channels += _cosmos_series(lines, name or "acceleration", np.append(reals, np.zeros(PEAK + 1)))
+    return channels
+
+
+def _announced(lines: Lines, kind: str, width: int = 0) -> np.ndarray | None:
+    """The integers or reals below the line that says how many they are; of comments that they are some."""
+    line = lines.take(f"{kind}s")
+    count = re.match(rf"\s*(\d{{1,12}})\s+{kind}", line.lower(), re.ASCII)
+    if count is None:
+        raise lines.error(
+            f"the number of {kind} header values or lines must stand here", repr(line.strip()[:60])
+        )
+    if width:
+        return lines.fields(int(count[1]), column_width(line, width), f"{kind} header values")
+    return _comments(lines, int(count[1]))
+
+
+def _comments(lines: Lines, count: int) -> None:
+    for _ in range(count):
+        if not lines.take(f"{count} comments").lstrip().startswith("|"):
+            raise lines.error("a comment must begin with |", "another line")
+
+
+def _cosmos_series(lines: Lines, name: str, reals: np.ndarray) -> Iterator[Channel]:
+    """Accelerations up to the next headers; velocities and displacements are passed over."""
+    while (line := lines.peek()) is not None and "(format v" not in line.lower():
+        line = lines.take("a series").lower()
+        if line.lstrip().startswith("end-of-data") or not line.strip():
+            continue
+        n_times = to_count(next(iter(line.split()), ""))
+        if n_times is None or "units=" not in line or not any(word in line for word in QUANTITIES):
+            what = "the number of points, their units and quantity, as acceleration, must stand here"
+            raise lines.error(what, repr(line.strip()[:60]))
+        values = lines.fields(n_times, column_width(line, 10), "values")
+        if "accel" not in line or "velocity" in line:
+            continue
+        word, _, code = line.partition("units=")[2].partition("(")
+        factor, unit = UNITS.get(to_count(code.partition(")")[0].strip()), (1.0, word.strip(" ,")))
+        steps = [float(step) for step in (1e-3 * reals[STEP], reals[RAW_STEP]) if step > 0.0]
+        if steps:
+            check_duration(lines, n_times, steps[0], number_after(line, "approx"), (1.0, 0.02))
+        check_peak(lines, name, values, reals[PEAK] if reals[PEAK] > -999.0 else None)
+        yield Channel(name, factor * values, unit, next(iter(steps), None))
+
+
+# --- CSMIP and CESMD, volumes 1 and 2, in lines of 80; film is digitised at uneven times -----------------
+
+UNCORRECTED, CORRECTED = "uncorrected accelerogram data", "corrected accelerogram"
+SPECTRA = "response and fourier"
+TEXT_LINES, NUMBER_LINES = {1: 13, 2: 25}, {1: 14, 2: 20}  # by volume
+PAIR_WIDTH, PAIR_QUANTUM = 7, 1e-3  # characters; [s]
+
+
+def read_csmip(lines: Lines) -> list[Channel]:
+    """All channels of a file of either volume."""
+    channels = []
+    while (line := lines.peek()) is not None:
+        first = line.strip().lower()
+        volume = next((v for v, begins in ((1, UNCORRECTED), (2, CORRECTED)) if first.startswith(begins)), 0)
+        if first.startswith(SPECTRA):
+            raise lines.error(*NO_SPECTRA)
+        if not volume and not first.startswith(("/&", "end")):
+            raise lines.error("a channel or its end must follow", repr(line.strip()[:60]))
+        text = _text(lines, TEXT_LINES.get(volume, 1), "a channel or its end")
+        for _ in range(NUMBER_LINES.get(volume, 0)):  # which repeat what text and the line above values say
+            lines.take(f"{NUMBER_LINES[volume]} lines of numbers below the text")
+        text = [" ".join(line.split()) for line in text]
+        if volume == 1:
+            channels.append(_volume_1(lines, text))
+        elif volume == 2:
+            channels.append(_section(lines, "accel", text[7], number_after(text[17], "peak acceleration")))
+            while "points of" in (lines.peek() or "").lower():
+                _section(lines, lines.peek().lower().partition("points of")[2].split()[0], "")
+    return channels
+
+
+def _section(lines: Lines, quantity: str, name: str, peak: float | None = None) -> Channel:
+    """A series below the line that says how many values there are, how far apart, and in which unit."""
+    line = lines.take("the number of points").lower()
+    count = re.match(r"\s*(\d{1,12})\s+points", line, re.ASCII)
+    if quantity not in line or count is None:
+        raise lines.error(f"the number of points of {quantity} data must stand here", repr(line.strip()[:60]))
+    count = positive(lines, int(count[1]), "the number of points")
+    dt = positive(lines, number_after(line, "spaced at"), "the step")
+    values = lines.fields(count, column_width(line, 10), "values")
+    check_peak(lines, name, values, peak)
+    return Channel(name, values, unit_in(line.partition("sec")[2]), dt)
+
+
+def _volume_1(lines: Lines, text: list[str]) -> Channel:
+    """Values at an even step, or pairs of time [s] and value that were digitised from film."""
+    if "points" not in (lines.peek() or "").lower():
+        n_pairs = positive(lines, number_after(text[10], "points"), "the number of points")
+        if n_pairs != round(n_pairs):
+            raise lines.error("the number of points must be whole", n_pairs)
+        times, values = lines.fields(2 * int(n_pairs), PAIR_WIDTH, "times and values").reshape(-1, 2).T
+        spacing = even_or_times(times, PAIR_QUANTUM, lambda row: lines.where())
+        unit = text[11].lower().partition(" and ")[2]
+    else:
+        line = lines.take("the number of points").lower()
+        rate = positive(lines, number_after(line, "points at"), "the samples in a second")
+        count = positive(lines, to_count(line.split()[0]), "the number of points")
+        if "pts/sec" not in line:
+            raise lines.error("the rate must be in pts/sec", repr(line.strip()[:60]))
+        values, spacing = lines.fields(count, column_width(line, 9), "values"), {"dt": 1.0 / rate}
+        unit = line.partition("units of")[2]
+    word = next(iter(unit.split()), "").strip(".,")
+    factor, unit = (0.1, "g") if word == "g/10" else (1.0, unit_in(word))
+    return Channel(text[6], factor * values, unit, **spacing)
+
+
+# --- GeoNet V1A and V2A: three components, one below the other, in columns of eight -----------------------
+
+POINTS = 33  # integers: of accelerations, then of velocities and displacements
+STEP_1, STEP_2 = 24, 25  # reals, of volumes 1 and 2 [s]
+
+
+def read_geonet(lines: Lines) -> list[Channel]:
+    """The components of a file."""
+    channels = []
+    while lines.peek() is not None:
+        text = _text(lines, 16, "a component")
+        volume = text[0].lower()
+        if "corrected accelerogram" not in volume:
+            raise lines.error("a component must begin with its volume", repr(text[0].strip()[:60]))
+        integers, reals = lines.fields(40, 8, "integers"), lines.fields(60, 8, "reals")
+        step = STEP_1 if volume.startswith("uncorrected") else STEP_2
+        n_times = positive(lines, int(integers[POINTS]), "the number of points")
+        dt = positive(lines, float(reals[step]), "the step")
+        said, words = number_after(text[9], "points"), text[10].split()
+        steps = [to_number(a) for a, b in zip(words, words[1:], strict=False) if b.lower() in ("s", "sec")]
+        if said != n_times or not steps or steps[0] is None or abs(steps[0] - dt) > 0.01 * dt:
+            raise lines.error(
+                f"the header must state one number of points and one step, in numbers {n_times} and {dt:g} s",
+                f"in words {text[9].strip()[:40]!r} and {text[10].strip()[:60]!r}",
+            )
+        if text[13].split()[3:4] != ["mm/s/s"] or number_after(text[10], "in units of") not in (None, 1.0):
+            raise lines.error("accelerations must be in mm/s/s", repr(text[13].strip()[:60]))
+        values = lines.fields(n_times, 8, "accelerations")
+        for n_others in integers[POINTS + 1 : POINTS + 3]:  # velocities, displacements
+            lines.fields(max(int(n_others), 0), 8, "values")
+        name = next(iter(text[12].partition("Component")[2].split()), "acceleration")
+        check_peak(lines, name, values, number_after(text[13], "peak"))
+        channels.append(Channel(name, 1e-3 * values, "m/s^2", dt))
+    return channels
+
+
+# --- SMC: one series; those of film have no rate, and are pairs of time and acceleration ------------------
+
+N_COMMENTS, N_VALUES = 15, 16  # of the 48 integers
+NULL, RATE, HIGHEST, LOWEST = 0, 1, 29, 31  # of the 50 reals
+DIGITS = 5  # that are printed of every value
+
+
+def read_smc(lines: Lines) -> list[Channel]:
+    """The acceleration of a file [cm/s^2]."""
+    text = [lines.take("11 lines of text") for _ in range(11)]
+    if "accelerogram" not in text[0].lower():
+        raise ValueError(f"{lines.title} must hold an acceleration, got {text[0].strip()[:40]!r}.")
+    integers, reals = lines.fields(48, 10, "integers"), lines.fields(50, 15, "reals")
+    n_values = positive(lines, int(integers[N_VALUES]), "the number of values")
+    _comments(lines, int(integers[N_COMMENTS]))
+    values = lines.fields(n_values, 10, "values")
+    check_end(lines, f"the {n_values} values")
+    name = " ".join(text[5].partition("component=")[2].split()) or "acceleration"
+    stated = {k: float(reals[k]) for k in (RATE, HIGHEST, LOWEST)}
+    stated = {k: real for k, real in stated.items() if not np.isclose(real, reals[NULL], rtol=1e-3)}
+    if RATE in stated:
+        spacing = {"dt": 1.0 / positive(lines, stated[RATE], "the samples in a second")}
+    elif values.size % 2 or values.size < 4:
+        raise lines.error("values without a rate must be pairs of time and acceleration", values.size)
+    else:
+        times, values = values.reshape(-1, 2).T
+        quantum = 10.0 ** (np.floor(np.log10(max(times[-1], 1e-9))) - DIGITS + 1)
+        spacing = even_or_times(times, quantum, lambda row: lines.where())
+    check_peak(
+        lines, name, values, max((abs(stated[k]) for k in (HIGHEST, LOWEST) if k in stated), default=None)
+    )
+    return [Channel(name, values, "cm/s^2", **spacing)]
+
+
+# --- the table: name, how the first lines begin in lower case, usual endings, what files state, reader ------
+
+LAYOUTS: tuple[tuple[str, str, str, str, Callable], ...] = (
+    ("PEER AT2", r"(.*\n){0,19}(?=.*npts).*dt", ".AT2", "step, number of values, units, event", read_at2),
+    (
+        "COSMOS",
+        r"(?=.*\(format v).*text lines",
+        ".v0, .v1, .v2, .V1c, .V2c",
+        "step, units, channels, peak, format of the columns",
+        read_cosmos,
     ),
-    ".AT2",
-    "step, number of values, units, event",
-    read_at2,
-)
-FACTS = (
-    format_of_lines(
+    (
+        "CSMIP and CESMD",
+        rf"\s*({UNCORRECTED}|{CORRECTED}.*\n.*uncorrected accelerogram|{SPECTRA}.*\n.*{CORRECTED})",
+        ".v1, .v2, .raw",
+        "step (times, of film), units, channels, peak; V3 files hold spectra and are refused",
+        read_csmip,
+    ),
+    (
+        "SMC",
+        r"\d.*(accelerogram|velocity|displacement|spectr).*\n\*",
+        ".smc",
+        "step (times, of film), component, peak; cm/s^2",
+        read_smc,
+    ),
+    (
+        "GeoNet",
+        r"(un)?corrected accelerogram.*\nsite ",
+        ".V1A, .V2A",
+        "step, mm/s^2, components, peak",
+        read_geonet,
+    ),
+    (
         "ESM and ITACA",
         r"event_name:.*\n(.*\n)?event_id:",
         ".ASC",
         "step, units, component, start, peak",
         read_esm,
     ),
-    format_of_lines(
+    (
         "K-NET and KiK-net",
         r"origin time.*\nlat\.",
         ".NS, .EW, .UD, .NS1, .EW1, .UD1, .NS2, .EW2, .UD2",
         "scale, step, direction, start, peak; the mean is taken off, as for the peak in the header",
         read_knet,
     ),
-    format_of_lines(
-        "NSMN", r"\s*strong ground motion records of turk", ".txt", "step, directions; gal", read_nsmn
-    ),
-    format_of_lines(
+    ("NSMN", r"\s*strong ground motion records of turk", ".txt", "step, directions; gal", read_nsmn),
+    (
         "UNAM",
         r"(.*\n){0,29}.*archivo estandar de aceleracion",
         "day and number, .191",
@@ -269,3 +565,19 @@ FACTS = (
         read_unam,
     ),
 )
+
+
+def _format(name: str, begins: str, files: str, states: str, read: Callable) -> Format:
+    def recording(path, request) -> Recording:
+        found = read(Lines(path, name.partition(" and ")[0]))
+        channels, title = found if isinstance(found, tuple) else (found, None)
+        return Recording(path.name, channels, title)
+
+    def recognises(opening: Opening) -> bool:
+        text = "\n".join(opening.lines[:30]).lower()
+        return opening.suffix == files.lower() == ".at2" or re.match(begins, text) is not None
+
+    return Format(name, recognises, files, states, recording)
+
+
+STRONG_MOTION = tuple(_format(*layout) for layout in LAYOUTS)

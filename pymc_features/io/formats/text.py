@@ -4,24 +4,21 @@ import csv
 import re
 from array import array
 from functools import lru_cache
-from io import StringIO
+from io import BytesIO, StringIO
 from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.io.reading.labels import BRACKETS, Label, labels_with_brackets, unit_of
+from pymc_features.io.reading.labels import BRACKETS, Label, known_factor, labels_with_brackets, unit_of
 from pymc_features.io.reading.lines import Lines, not_a_number, to_number
 from pymc_features.io.reading.recording import Columns, Format, Recording, Request, clock_column, recording_of
-from pymc_features.io.reading.units import known_factor
 
 COMMENTS = ("#", "%", "//")
 SEPARATORS = ("\t", ";", "|", ",", " ")
 #: 20240131T120000, or without the T
-COMPACT = re.compile(
-    r"(?<![\d.])((?:19|20)\d\d)([01]\d)([0-3]\d)T?([0-2]\d)([0-5]\d)([0-5]\d)(?!\d)", re.ASCII
-)
+COMPACT = re.compile(rb"(?<![\d.])((?:19|20)\d\d)([01]\d)([0-3]\d)T?([0-2]\d)([0-5]\d)([0-5]\d)(?!\d)")
 NO_UNIT = {"", "-", "[]", "TS", "RN"}  # in a row of units; the last two in tables of Campbell's loggers, TOA5
 MISSING = ("", "nan", "+nan", "-nan")  # cells of a gap, in lower case
 MOST_HEADER_LINES = 10_000
@@ -130,8 +127,8 @@ def read_columns(path: Path, request: Request) -> Columns:
     values in turn, two.
     """
     lines = Lines(path)
-    if COMPACT.search(lines.text, 0, FEW):
-        lines.text, lines.raw = COMPACT.sub(r"\1-\2-\3T\4:\5:\6", lines.text), None
+    if COMPACT.search(lines.raw, 0, FEW):
+        lines.raw = COMPACT.sub(rb"\1-\2-\3T\4:\5:\6", lines.raw)
     header, first, layout = _header(lines)
     _refuse_spoilt_first(path.name, header, first, layout)
     start = lines.at(first)
@@ -162,7 +159,7 @@ def read_columns(path: Path, request: Request) -> Columns:
         return f"{path.name}, line {number}"
 
     def resolution(index: int) -> float:
-        return _resolution(lines.text, start, layout, index, np.abs(values[:, index]).max())
+        return _resolution(lines, start, layout, index, np.abs(values[:, index]).max())
 
     stamp = layout.stamp[0] if layout.stamp else None
     return Columns(path.name, labels, values[request.skip :], where, resolution, own, stamp, origin, unit)
@@ -303,7 +300,7 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
 
 def _refuse_cut_last(lines: Lines, start: int, layout: Layout) -> None:
     """Refuse a file that ends within a line, whose last number has fewer decimals than those above it."""
-    rows = lines.text[max(start, len(lines.text) - 80 * SAMPLED) :].split("\n")[-ENDS:]
+    rows = lines.part(max(start, len(lines.raw) - 80 * SAMPLED)).split("\n")[-ENDS:]
     decimals = [len(layout.cells(row)[-1].partition(".")[2]) for row in rows if row.strip()]
     if rows[-1] and len(decimals) == ENDS and len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]:
         raise ValueError(
@@ -376,7 +373,7 @@ def _rows(lines: Lines, first: int):
 
 def _fast(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndarray] | None:
     """Origin of the stamps and rows (row, column) by NumPy or pandas; None where one is not as the first."""
-    body = lines.text[start : start + FEW]
+    body = lines.part(start, start + FEW)
     plain = layout.decimal == "." and not layout.stamp and '"' not in body
     separator = None if layout.separator == " " else layout.separator
     try:
@@ -395,10 +392,12 @@ def _by_pandas(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndar
 
     old = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
     kinds = {k: str if k in layout.stamp else np.float64 for k in range(layout.count)}
-    first = lines.text[start : lines.text.find("\n", start)].rstrip()
+    first = lines.part(start, start + FEW).partition("\n")[0].rstrip()
     plain = not layout.stamp and not first.endswith(layout.separator)  # no column of texts, nor an empty one
+    stream = BytesIO(lines.raw)  # which is not copied
+    stream.seek(start)
     frame = pd.read_csv(
-        lines.stream(start),  # a text in memory takes twice as long
+        stream,
         sep=r"\s+" if layout.separator == " " else layout.separator,
         header=None,
         decimal=layout.decimal,
@@ -459,11 +458,11 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
     return origin, found
 
 
-def _resolution(text: str, start: int, layout: Layout, index: int, largest: float) -> float:
+def _resolution(lines: Lines, start: int, layout: Layout, index: int, largest: float) -> float:
     """Resolution of a printed column, from decimals and significant digits of its first and last cells."""
-    last = max(start, len(text) - 80 * SAMPLED)
-    some = [*text[start : start + 80 * SAMPLED].split("\n")[:-1], *text[last:].split("\n")[1:]]
-    some = some or [text[start:]]
+    last = max(start, len(lines.raw) - 80 * SAMPLED)
+    some = [*lines.part(start, start + 80 * SAMPLED).split("\n")[:-1], *lines.part(last).split("\n")[1:]]
+    some = some or [lines.part(start)]
     least, digits = 0, 1
     for line in some:
         cells = layout.cells(line.strip())

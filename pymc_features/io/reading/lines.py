@@ -7,7 +7,6 @@ from array import array
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
-from io import BytesIO
 from itertools import islice
 from pathlib import Path
 
@@ -16,6 +15,8 @@ import numpy as np
 from pymc_features._checks import message, shown, warn_caller
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
+_WIDTH = re.compile(r"(?<!\d)\d{0,3}[FEI](\d{1,3})", re.IGNORECASE | re.ASCII)
+_PLUS = re.compile(r"(?<![eEdD])\+")  # in front of a number, not of an exponent
 _WHOLE = re.compile(r"[-+]?\d+", re.ASCII)
 _NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 
@@ -53,18 +54,18 @@ def _utf_16(raw: bytes) -> str | None:
     return next((name for name, high, low in ways if len(high) > 1 and not any(high) and all(low)), None)
 
 
-def check_size(path: Path, n_bytes: Iterable[int]) -> int:
-    """What arrays take, in bytes; refuse more than twenty times the size of their file, and than 64 MiB."""
-    promised, size = 0, path.stat().st_size
-    for count in n_bytes:
-        promised += count
-        if promised > max(TIMES * size, ALWAYS):
-            raise ValueError(
-                f"{path.name} must not hold arrays of more than {TIMES} times its size and "
-                f"{ALWAYS // 2**20} MiB, got {promised:.3g} bytes in a file of {size}. Is it damaged? "
-                "If not, save it uncompressed."
-            )
-    return promised
+def most_bytes(path: Path) -> int:
+    """What the arrays of a file may take: twenty times its size, and 64 MiB of small ones."""
+    return max(TIMES * path.stat().st_size, ALWAYS)
+
+
+def check_size(path: Path, n_bytes: Iterable[int]) -> None:
+    """Refuse arrays of more bytes than those of a file may take."""
+    if (promised := sum(map(int, n_bytes))) > most_bytes(path):
+        raise ValueError(
+            f"{path.name} must not hold arrays of more than {TIMES} times its size and "
+            f"{ALWAYS // 2**20} MiB, got {promised:.3g} bytes. Is it damaged? If not, save it uncompressed."
+        )
 
 
 def decoded(raw: bytes) -> str:
@@ -84,28 +85,30 @@ class Lines:
 
     def __init__(self, path: Path, format_name: str = ""):
         raw = path.read_bytes()
-        if b"\0" in raw and not _utf_16(raw):
+        zeros = b"\0" in raw
+        if zeros and not _utf_16(raw):
             raise ValueError(f"{path.name} must be a text file, it holds binary data. Export it as CSV.")
-        self.file = path.name
-        self.stem = path.stem
+        self.file, self.stem = path.name, path.stem
         self.title = f"{path.name} ({format_name})" if format_name else path.name
-        self.number = 0  # of the line that was taken last
-        self.last = ""  # and what it says
-        self.text = decoded(raw)
-        self.raw = raw if raw.isascii() and b"\r" not in raw else None  # where it has the places of the text
+        self.number, self.last = 0, ""  # of the line that was taken last, and what it says
+        plain = not zeros and raw.isascii() and b"\r" not in raw
+        self.raw = raw if plain else decoded(raw).encode(errors="replace")  # UTF-8 with line feeds
+
+    @property
+    def text(self) -> str:
+        """All of it."""
+        return self.raw.decode()
+
+    def part(self, start: int, stop: int | None = None) -> str:
+        """The text from one place to another, in bytes."""
+        return self.raw[start:stop].decode(errors="ignore")
 
     def at(self, number: int) -> int:
         """The place of a line in the text."""
         place = 0
         for _ in range(number - 1):
-            place = self.text.find("\n", place) + 1
+            place = self.raw.find(b"\n", place) + 1
         return place
-
-    def stream(self, place: int) -> BytesIO:
-        """The text from a place on, in UTF-8; large ones are not copied where that can be."""
-        stream = BytesIO(self.raw if self.raw is not None else self.text[place:].encode())
-        stream.seek(place if self.raw is not None else 0)
-        return stream
 
     @cached_property
     def whole(self) -> list[str]:
@@ -115,10 +118,10 @@ class Lines:
     def __iter__(self) -> Iterator[tuple[int, str]]:
         """Number, from 1, and text of every line that is not blank, without blanks around it."""
         start, number = 0, 0
-        while start < len(self.text):  # a line at a time: most callers need the first ones only
-            end = self.text.find("\n", start)
-            end = len(self.text) if end < 0 else end
-            line, start, number = self.text[start:end].strip(), end + 1, number + 1
+        while start < len(self.raw):  # a line at a time: most callers need the first ones only
+            end = self.raw.find(b"\n", start)
+            end = len(self.raw) if end < 0 else end
+            line, start, number = self.raw[start:end].decode().strip(), end + 1, number + 1
             if line:
                 yield number, line
 
@@ -149,56 +152,66 @@ class Lines:
 
         Neighbours may touch, as Fortran writes them. Only the last line may be shorter than the first.
         """
-        values, per_line = array("d"), 0
-        while len(values) < count:
-            if per_line and len(values) % per_line:
-                raise self.error(f"lines must hold {per_line} values", len(values) % per_line)
-            line = self.take(f"{count} {what}").rstrip()
+
+        def cut(line: str) -> list[str]:
             if len(line) % width or not line:
                 raise self.error(f"values must fill columns of {width} characters", f"{len(line)} characters")
-            for start in range(0, len(line), width):
-                values.append(self.value(line[start : start + width].lstrip()))
-            per_line = per_line or len(values)
-        return self._announced(values, count, what)
+            return [line[start : start + width].lstrip() for start in range(0, len(line), width)]
+
+        return self._numbers(count, what, lambda: cut(self.take(f"{count} {what}").rstrip()), same=True)
 
     def words(self, count: int, what: str, whole: bool = False, per_line: int | None = None) -> np.ndarray:
         """Numbers (count,) with blanks between them, from as many lines as it takes; `whole`: counts."""
-        values = array("d")
-        while len(values) < count:
-            tokens = self.take(f"{count // (per_line or 1)} {what}").split()
-            if per_line and len(tokens) != per_line:
-                raise self.error(f"lines must hold {per_line} values", len(tokens))
-            values.extend(self.value(token, whole) for token in tokens)
-        return self._announced(values, count, what)
+        lines = f"{count // (per_line or 1)} {what}"
+        return self._numbers(count, what, lambda: self.take(lines).split(), whole, per_line or 0)
 
-    def _announced(self, values: array, count: int, what: str) -> np.ndarray:
+    def _numbers(self, count: int, what: str, take, whole=False, per_line=0, same=False) -> np.ndarray:
+        """Numbers (count,) of the tokens of as many lines as it takes; with `same` as many in each line."""
+        values, size = array("d"), per_line
+        while len(values) < count:
+            tokens = take()
+            size = size or (len(tokens) if same else 0)
+            last = same and len(values) + len(tokens) == count
+            if size and not last and (len(tokens) % size if same else len(tokens) != size):
+                raise self.error(f"lines must hold {size} values", len(tokens))
+            for token in tokens:
+                number = to_number(token)
+                if whole and not _WHOLE.fullmatch(token):
+                    raise self.error("values must be counts, whole numbers", repr(token[:60]))
+                if number is None or not -np.inf < number < np.inf:
+                    raise not_a_number(self.where(), token)
+                values.append(number)
         if len(values) != count:
             raise self.error(f"the file must hold the {count} {what} that it announces", len(values))
         return np.array(values)
 
-    def value(self, token: str, whole: bool = False) -> float:
-        """A number of the line that was taken last."""
-        number = to_number(token)
-        if whole and not _WHOLE.fullmatch(token):
-            raise self.error("values must be counts, whole numbers", repr(token[:60]))
-        if number is None or not -np.inf < number < np.inf:
-            raise not_a_number(self.where(), token)
-        return number
+
+def column_width(text: str, otherwise: int) -> int:
+    """Characters of each column by a Fortran format such as (8F10.3), which is the last in the line."""
+    found = _WIDTH.findall(text[text.rfind("(") + 1 :]) if "(" in text else []
+    return int(found[0]) if found and int(found[0]) > 0 else otherwise
 
 
 def warn_of_widths(title: str, lines: Iterable[tuple[int, str]]) -> None:
-    """Tell of a line of numbers in columns that is longer or shorter than almost all others but the last."""
-    numbers, lengths = array("q"), array("q")
+    """Tell of a line of numbers in columns whose length, or plus sign, few others have."""
+    numbers, lengths, plus = array("q"), array("q"), array("q")
     for number, line in lines:
         numbers.append(number)
         lengths.append(len(line.rstrip()))
-    widths = np.array(lengths)[:-1]
-    usual = np.bincount(widths).argmax() if widths.size else 0
-    odd = np.flatnonzero(widths != usual)
-    if 0 < odd.size <= max(1, RARE * widths.size) and widths.size >= FEWEST_LINES:
+        plus.append(_PLUS.search(line) is not None)
+    few = max(1, RARE * len(numbers))
+    if len(numbers) <= FEWEST_LINES:
+        return
+    usual = np.bincount(np.array(lengths)[:-1]).argmax()
+    odd = np.flatnonzero(np.array(lengths)[:-1] != usual)
+    if 0 < odd.size <= few:
         warn_caller(
             f"{title}, line {numbers[odd[0]]}: numbers must fill their columns, the line has "
-            f"{widths[odd[0]]} characters, others {usual}. Is a digit or a sign lost?"
+            f"{lengths[odd[0]]} characters, others {usual}. Is a digit or a sign lost?"
+        )
+    elif 0 < sum(plus) <= few:
+        warn_caller(
+            f"{title}, line {numbers[plus.index(1)]}: a number has a plus sign, others have none. Is it one?"
         )
 
 

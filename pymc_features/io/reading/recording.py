@@ -13,9 +13,17 @@ import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown, warn_caller
 from pymc_features.io.reading.clock import Clock, at_samples, check_increasing, even_clock
-from pymc_features.io.reading.labels import MEASURED, NO_HISTORY, Label, role_of
+from pymc_features.io.reading.labels import (
+    MEASURED,
+    NO_HISTORY,
+    PLURALS,
+    Label,
+    resolve_dt,
+    resolve_units,
+    role_of,
+    sensitivity_of,
+)
 from pymc_features.io.reading.lines import decoded
-from pymc_features.io.reading.units import plural, resolve_dt, resolve_units, sensitivity_of
 
 OPENING = 16_384  # bytes
 TINY, ALONE = 1e-60, 1e3  # over the largest value, and the largest over the second: none is measured so
@@ -156,7 +164,7 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
     role = role_of(channel.name)
     if channel.unit is None and role in MEASURED and role != request.quantity and request.sensitivity is None:
         raise ValueError(
-            f"{file} must hold {plural(request.quantity)}, the label {channel.name!r} says {role}. "
+            f"{file} must hold {PLURALS[request.quantity]}, the label {channel.name!r} says {role}. "
             "Pass the columns that are, or rename it."
         )
     dt = resolve_dt(request.dt, _stated_step(channel, request, file), file)
@@ -182,17 +190,18 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
 def _warn_of_exponents(values: np.ndarray, file: str, name: str) -> None:
     """A number among others of quite another size has a digit too many or too few in its exponent."""
     sizes = np.abs(values)
-    sizes = sizes[sizes > 0.0]
-    if sizes.size < FEWEST:
-        return
-    place = np.argmax(sizes)
-    second = max(sizes[:place].max(initial=0.0), sizes[place + 1 :].max(initial=0.0))
-    for odd, other in ((sizes[place], second), (sizes.min(), sizes[place])):
-        if odd > ALONE * other or odd < TINY * other:
-            warn_caller(
-                f"{file}, {name}: a value of {odd:.4g} is of another size than others, up to {other:.4g}. Is "
-                "its exponent spoilt?"
-            )
+    largest, least = np.nanmax(sizes), sizes.min(where=sizes > 0.0, initial=np.inf)
+    odd = (
+        largest
+        if np.count_nonzero(sizes * ALONE >= largest) == 1
+        else least
+        if least < TINY * largest
+        else 0.0
+    )
+    if odd and np.count_nonzero(sizes > 0.0) >= FEWEST:
+        warn_caller(
+            f"{file}, {name}: a value of {odd:.4g} is of another size than others. Is its exponent spoilt?"
+        )
 
 
 def _stated_step(channel: Channel, request: Request, file: str) -> float | None:

@@ -9,7 +9,7 @@ import numpy as np
 from pymc_features import structures
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_matrices
-from pymc_features.io.reading.units import system_of_units
+from pymc_features.io.reading.labels import system_of_units
 from pymc_features.structures import AffineStructure, Kind
 from pymc_features.structures.specimens import DETERIORATIONS, SPECIMENS
 from pymc_features.update.config.entries import Matrix, Taper, evaluated, priors_in
