@@ -135,7 +135,7 @@ def read_channels(
     array([0.   , 2.943, 0.981])
     """
     request = checked_request(units, dt, clock, clock_units, skip, wrapped)
-    return _read(files, columns, request, checked_rate(resample))
+    return _read(files, columns, request, resample)
 
 
 def read_channels_with_gaps(
@@ -190,12 +190,7 @@ def read_channels_with_gaps(
            [ 0. ,  nan,  0.1,  nan,  0.2]])
     """
     request = checked_request(units, dt, clock, clock_units, skip, wrapped)
-    return _read(files, columns, request._replace(gaps=True), checked_rate(resample))
-
-
-def checked_rate(rate) -> float | None:
-    """A sampling rate [Hz], or None."""
-    return None if rate is None else check_positive(rate, "resample", "Pass the sampling rate in Hz.")
+    return _read(files, columns, request._replace(gaps=True), resample)
 
 
 def checked_request(units, dt, clock, clock_units, skip, wrapped, quantity="acceleration", sensitivity=None):
@@ -237,10 +232,12 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     import xarray as xr  # a second to import
 
     from pymc_features.signals.check import check_each
+    from pymc_features.signals.processing import correct
 
-    kept, names, parts = {}, [], []
-    sensors = _sensors(files, columns, request, bool(resample))
-    for label, source, own, settings in sensors:
+    if resample is not None:
+        resample = check_positive(resample, "resample", "Pass the sampling rate in Hz.")
+    kept, names, rows, clocks, quantities, delays = {}, [], [], [], [], []
+    for label, source, own, settings in _sensors(files, columns, request, bool(resample)):
         asked = own._replace(columns=None, units=None, quantity="", sensitivity=None)
         key = id(source) if is_source(source) else str(source), asked
         recording = kept[key] = kept.get(key) or recording_from(source, own)
@@ -250,52 +247,40 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
         apart = len({clock.start for _, clock in histories}) > 1
         for channel, (history, clock) in zip(found, histories, strict=True):
             clock = clock._replace(file=f"{recording.file} ({channel.name})") if apart else clock
-            history = settings["scale"] * history if "scale" in settings else history
-            parts.append((history, _corrected(clock, settings), own.quantity, settings))
-    rows, clocks, quantities, of_channels = map(list, zip(*parts, strict=True))
-    if any("delay" in settings for settings in of_channels) and all(clock.start is None for clock in clocks):
+            if "anchors" in settings:  # two readings whose true times are known
+                (first, at_first), (last, at_last) = settings["anchors"]
+                ratio = (at_last - at_first) / (last - first)
+                start = at_first + ratio * ((clock.start or 0.0) - first)
+                clock = clock._replace(dt=ratio * clock.dt, start=start)
+            rows.append(settings["scale"] * history if "scale" in settings else history)
+            clocks.append(clock)
+            quantities.append(own.quantity)
+            delays.append(settings.get("delay"))
+    if any(delay is not None for delay in delays) and all(clock.start is None for clock in clocks):
         clocks = [clock._replace(start=0.0) for clock in clocks]
-    late = [late_by(clock, settings, resample) for clock, settings in zip(clocks, of_channels, strict=True)]
+    # a clock is set back by whole samples unless it is resampled, and its history moved by the rest
+    delays = [delay or 0.0 for delay in delays]
+    whole = [
+        d if resample else clock.dt * round(d / clock.dt) for d, clock in zip(delays, clocks, strict=True)
+    ]
     clocks = [
-        clock if clock.start is None else clock._replace(start=clock.start - whole)
-        for clock, (whole, _) in zip(clocks, late, strict=True)
+        clock if clock.start is None else clock._replace(start=clock.start - late)
+        for clock, late in zip(clocks, whole, strict=True)
     ]
     values, step, start = _resampled(rows, clocks, resample) if resample else _aligned(rows, clocks)
-    coords = {
-        "sensor": _sensor_names(names, files, columns),
-        "time": ("time", step * np.arange(values.shape[1]), {"units": "s"}),
-    }
-    name, attrs = quantities[0], {"units": SI[quantities[0]], "start": start}
+    sensors = _sensor_names(names, files, columns)
+    time = ("time", step * np.arange(values.shape[1]), {"units": "s"})
+    coords, name = {"sensor": sensors, "time": time}, quantities[0]
+    attrs = {"units": SI[quantities[0]], "start": start}
     if len(set(quantities)) > 1:
         coords |= {"quantity": ("sensor", quantities), "units": ("sensor", [SI[q] for q in quantities])}
         name, attrs = "measured", {"start": start}
     channels = xr.DataArray(values, coords, ("sensor", "time"), name=name, attrs=attrs)
-    if delays := {name: rest for name, (_, rest) in zip(coords["sensor"], late, strict=True) if rest}:
-        from pymc_features.signals.correct import correct
-
-        channels = correct(channels, delay=delays)
-    accelerations = [quantity == "acceleration" for quantity in quantities]
-    if any(accelerations):
-        check_each(channels if all(accelerations) else channels[accelerations])
+    rest = {s: d - w for s, d, w in zip(sensors, delays, whole, strict=True) if abs(d - w) > 1e-9 * step}
+    channels = correct(channels, delay=rest) if rest else channels
+    if (accelerations := np.array(quantities) == "acceleration").any():
+        check_each(channels if accelerations.all() else channels[accelerations])
     return channels
-
-
-def late_by(clock: Clock, settings: Mapping, resample) -> tuple[float, float]:
-    """By how much a clock is set back for a delay [s], in whole samples unless resampled, and the rest."""
-    delay = settings.get("delay", 0.0)
-    whole = delay if resample else clock.dt * round(delay / clock.dt)
-    rest = delay - whole
-    return whole, rest if abs(rest) > 1e-9 * clock.dt else 0.0
-
-
-def _corrected(clock: Clock, settings: Mapping) -> Clock:
-    """A clock on the time of two readings whose true times are known."""
-    if "anchors" not in settings:
-        return clock
-    (first, at_first), (last, at_last) = settings["anchors"]
-    ratio = (at_last - at_first) / (last - first)
-    start = at_first + ratio * ((clock.start or 0.0) - first)
-    return clock._replace(dt=ratio * clock.dt, start=start)
 
 
 def _aligned(rows, clocks: list[Clock]) -> tuple[np.ndarray, float, float]:
@@ -332,20 +317,24 @@ def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, floa
 
 def _sensors(files, columns, request: Request, resampled: bool) -> list[tuple[str, object, Request, dict]]:
     """Name, source, request and settings of its own of each entry of `files`."""
-    picked = _picked(columns)
+    picked = None
+    if columns is not None:
+        several = list(columns.values()) if isinstance(columns, Mapping) else as_list(columns)
+        picked = [check_column(column, "columns") for column in ([columns] if several is None else several)]
     if isinstance(files, str | PathLike) or is_source(files):
         files = [files]
-    if not isinstance(files, Mapping) and (entries := as_list(files)) is not None:
-        files = [(None, source) for source in entries]
-    elif isinstance(files, Mapping):
-        files = [(str(name), source) for name, source in files.items()]
+    if isinstance(files, Mapping):
+        entries = [(str(name), source) for name, source in files.items()]
+    elif (sources := as_list(files)) is not None:
+        entries = [(None, source) for source in sources]
     else:
         what = "a path, several, or a mapping of sensor names to paths"
         raise TypeError(message("files", what, shown(files)))
-    if not files:
-        raise ValueError("`files` must name at least one file, got none.")
+    for name, some in (("files", entries), ("columns", picked)):
+        if some == []:
+            raise ValueError(f"`{name}` must name at least one, got none.")
     found = []
-    for name, source in files:
+    for name, source in entries:
         own, settings = request._replace(columns=picked), {}
         if isinstance(source, Mapping):
             source, own, settings = _of_sensor(name, dict(source), own, resampled)
@@ -361,47 +350,28 @@ def _of_sensor(name, given: dict, request: Request, resampled: bool) -> tuple[ob
     if unknown or "file" not in given:
         what = f"`file` and any of {', '.join(OF_SENSOR[1:])} of {name!r}"
         raise ValueError(message("files", what, listed(unknown or list(given))))
-    settings = {}
-    for key in ("scale", "delay"):
-        if key in given:
-            settings[key] = check_number(given.pop(key), key)
-            check_finite(np.float64(settings[key]), key)
+    settings = {key: check_number(given.pop(key), key) for key in ("scale", "delay") if key in given}
+    for key, value in settings.items():
+        check_finite(np.float64(value), key)
     if settings.get("scale") == 0.0:
         raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
     if "anchors" in given:
         if not resampled:
             raise ValueError(
-                f"`resample` must be given with `anchors`, got none for {name!r}. Pass a rate [Hz]."
+                f"`resample` must be given with `anchors` of {name!r}, got none. Pass a rate [Hz]."
             )
-        settings["anchors"] = _checked_anchors(given.pop("anchors"))
-    source, column = given.pop("file"), given.pop("column", None)
+        pairs = [as_list(pair) or [] for pair in as_list(given["anchors"]) or []]
+        numbers = [check_number(value, "anchors") for pair in pairs for value in pair]
+        two = [len(pair) for pair in pairs] == [2, 2]
+        if not two or not (numbers[2] > numbers[0] and numbers[3] > numbers[1]):
+            what = "two pairs of a reading of the clock and its true time in seconds, the later second"
+            raise ValueError(message("anchors", what, shown(given["anchors"])))
+        settings["anchors"] = numbers[:2], numbers[2:]
+    source, column = given["file"], given.get("column")
     keys = ("units", "dt", "clock", "clock_units", "skip", "wrapped", "quantity", "sensitivity")
     own = checked_request(**{key: given.get(key, getattr(request, key)) for key in keys})
     picked = request.columns if column is None else [check_column(column, "column")]
     return source, own._replace(columns=picked, gaps=request.gaps), settings
-
-
-def _checked_anchors(anchors) -> list[list[float]]:
-    """Two pairs of a reading of the clock and its true time [s]."""
-    pairs = [as_list(pair) for pair in as_list(anchors) or []]
-    if len(pairs) == 2 and all(pair is not None and len(pair) == 2 for pair in pairs):
-        pairs = [[check_number(value, "anchors") for value in pair] for pair in pairs]
-        (first, at_first), (last, at_last) = pairs
-        if last > first and at_last > at_first:
-            return pairs
-    what = "two pairs of a reading of the clock and its true time in seconds, the later second"
-    raise ValueError(message("anchors", what, shown(anchors)))
-
-
-def _picked(columns) -> list | None:
-    """The columns that are asked for."""
-    if columns is None:
-        return None
-    listed_ = list(columns.values()) if isinstance(columns, Mapping) else as_list(columns)
-    picked = [columns] if listed_ is None else listed_
-    if not picked:
-        raise ValueError("`columns` must name at least one column, got none.")
-    return [check_column(column, "columns") for column in picked]
 
 
 def check_column(column, name: str) -> int | str:

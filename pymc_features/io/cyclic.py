@@ -117,14 +117,11 @@ def _channel(recording: Recording, column, kind: str, place: int, usual: int) ->
         return chosen(recording, [column])[0]
     if recording.question:
         raise ValueError(recording.question)
-    units = [None if channel.unit is None else unit_of(channel.unit) for channel in recording.channels]
-    kinds = [
-        role_of(channel.name) if unit is None else unit.quantity
-        for channel, unit in zip(recording.channels, units, strict=True)
-    ]
+    units = [unit_of(channel.unit or "") for channel in recording.channels]
+    kinds = [u.quantity if u else role_of(c.name) for c, u in zip(recording.channels, units, strict=True)]
     if kinds.count(kind) == 1:
-        return recording.channels[kinds.index(kind)]
-    if len(kinds) != usual or kinds[place] is not None or kind in kinds:
+        place = kinds.index(kind)
+    elif len(kinds) != usual or kinds[place] is not None or kind in kinds:
         raise ValueError(
             f"`columns` must be given, {recording.file} has {len(kinds)} columns "
             f"({named(recording.channels)}). Pass the one of the displacement and the one of the force."

@@ -76,14 +76,10 @@ def _write_csv(path, names, units, channels, step: float) -> None:
         clock = [f"{text}Z" for text in np.datetime_as_string(since.astype("datetime64[ns]"))]
     else:
         clock = [f"{time:.15g}" for time in start + times]
+    labels = [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]
     with path.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(
-            [
-                "time" if start > EPOCH else "time [s]",
-                *(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)),
-            ]
-        )
+        rows.writerow(["time" if start > EPOCH else "time [s]", *labels])
         for time, row in zip(clock, channels.values.T, strict=True):
             rows.writerow([time, *("" if np.isnan(value) else f"{value:.17g}" for value in row)])
 
@@ -99,26 +95,20 @@ def _write_universal(path, names, units, channels, step: float) -> None:
             what = "named by node and direction, as 12Z, for a Universal File"
             raise ValueError(message("channels", what, name, "Rename them, or write CSV."))
         node, sign, axis = found.groups()
-        sets.append(
-            {
-                "type": 58,
-                "binary": 1,
-                "func_type": 1,
-                "rsp_node": int(node),
-                "rsp_dir": (AXES.index(axis) + 1) * (-1 if sign else 1),
-                "ref_node": 0,
-                "ref_dir": 0,
-                "data": values.astype(np.float64),
-                "x": times,
-                "abscissa_spacing": int(float(f"{step:.5e}") == step and times[0] == 0.0),  # six digits
-                "orddenom_spec_data_type": 0,
-                "abscissa_axis_units_lab": "s",
-                "ordinate_spec_data_type": TYPE_OF_UNIT.get(unit, 0),
-                "ordinate_axis_units_lab": unit,
-                "ord_data_type": 4,
-                "id1": name,
-            }
-        )
+        even = int(float(f"{step:.5e}") == step and times[0] == 0.0)  # six digits
+        of = {
+            "type": 58,
+            "binary": 1,
+            "func_type": 1,
+            "ref_node": 0,
+            "ref_dir": 0,
+            "ord_data_type": 4,
+            "id1": name,
+        }
+        of |= {"rsp_node": int(node), "rsp_dir": (AXES.index(axis) + 1) * (-1 if sign else 1)}
+        of |= {"data": values.astype(np.float64), "x": times, "abscissa_spacing": even}
+        of |= {"abscissa_axis_units_lab": "s", "ordinate_axis_units_lab": unit}
+        sets.append(of | {"orddenom_spec_data_type": 0, "ordinate_spec_data_type": TYPE_OF_UNIT.get(unit, 0)})
     with by_library("pyuff", "modal", path, "Universal"):
         import pyuff
     path.write_bytes(b"")

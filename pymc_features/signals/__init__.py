@@ -11,9 +11,8 @@ their ratios stay what they were.
 
 from pymc_features.signals.channels import sampling_step
 from pymc_features.signals.check import check_channels
-from pymc_features.signals.correct import correct
-from pymc_features.signals.processing import band_pass, decimate, detrend, trim
-from pymc_features.signals.quasi_static import low_frequency_gains
+from pymc_features.signals.processing import band_pass, correct, decimate, detrend, trim
+from pymc_features.signals.spectra import low_frequency_gains
 
 __all__ = [
     "band_pass",

@@ -48,6 +48,12 @@ def check_array(channels, sensors: bool = False) -> xr.DataArray:
     return channels
 
 
+def sensor_names(channels: xr.DataArray) -> list:
+    """Labels of the sensors, counted where they have none."""
+    coords = channels.coords
+    return list(coords["sensor"].values) if "sensor" in coords else list(range(channels.sizes["sensor"]))
+
+
 def whole_values(channels) -> np.ndarray:
     """Numbers (sensor, time) of channels; refuse those with gaps."""
     values = check_array(channels, sensors=True).values.astype(np.float64)
@@ -119,9 +125,7 @@ def check_window(channels: xr.DataArray, window, name: str = "window") -> tuple[
 
 def check_frequency(value, name: str, nyquist: float) -> float:
     """A frequency [Hz] between 0 and half the sampling rate."""
-    if not is_number(single(value)):
-        raise TypeError(f"`{name}` must be a frequency in Hz, got {shown(value)}.")
-    frequency = check_number(value, name)
+    frequency = check_number(value, name, "Pass a frequency in Hz.")
     if not 0.0 < frequency < nyquist:
         raise ValueError(
             f"`{name}` must lie between 0 and {nyquist:g} Hz, half the sampling rate, got {frequency:g}."

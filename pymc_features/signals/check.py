@@ -1,11 +1,13 @@
 """What can be told from channels: one dead, clipped, held, or in wrong units, and one against another."""
 
+from itertools import combinations
+
 import numpy as np
 import xarray as xr
 
 from pymc_features._checks import check_share
-from pymc_features.signals.channels import check_array, filled, sampling_step, warn_channel
-from pymc_features.signals.quasi_static import base_index, low_frequency_gains, sensor_names
+from pymc_features.signals.channels import check_array, filled, sampling_step, sensor_names, warn_channel
+from pymc_features.signals.spectra import base_index, low_frequency_gains
 
 GRAVITY = 9.81  # [m/s^2]
 LARGEST = 5.0 * GRAVITY  # [m/s^2]; models on shaking tables stay below
@@ -90,62 +92,48 @@ def check_channels(
     columns = {name: found[name].values for name in found.data_vars}
     comparable, late = [], False
     scale, delay = np.ones(found.sizes["sensor"]), np.zeros(found.sizes["sensor"])
-    for i in range(found.sizes["sensor"]):
-        row = {name: float(numbers[i]) for name, numbers in columns.items()}
-        messages = [] if i == index else _against_base(row, reference, allowed)
-        if i != index and row["coherence"] >= _COHERENT:
-            scale[i], delay[i] = _factor(row["gain"]), row["lag"] if _late(row, allowed[1]) > 0.0 else 0.0
-            late |= _late(row, allowed[1]) > allowed[0]
-        for message in messages:
-            warn_channel(f"Channel {str(found['sensor'].values[i])!r} {message}")
-        if row["coherence"] >= _COHERENT and _GAINS[0] <= abs(row["gain"]) <= _GAINS[1]:
+    for i, name in enumerate(found["sensor"].values):
+        row = {key: float(numbers[i]) for key, numbers in columns.items()}
+        gain, lag, coherent = row["gain"], row["lag"], row["coherence"] >= _COHERENT
+        plain = _GAINS[0] <= abs(gain) <= _GAINS[1]
+        if coherent and plain:
             comparable.append(i)
+        if i == index or np.isnan(gain):
+            continue
+        if not coherent:
+            warn_channel(
+                f"Channel {str(name)!r} is unrelated to {reference}: coherence {row['coherence']:.2g}. "
+                "Another direction or event, no motion in the band, or a broken sensor?"
+            )
+            continue
+        if gain < 0.0:
+            warn_channel(
+                f"Channel {str(name)!r} is inverted against {reference}: low-frequency gain {gain:.3g}. "
+                "Multiply it by -1."
+            )
+        scale[i] = np.sign(gain)
+        if not plain:  # units that are known to be mistaken for each other
+            ratio = max(abs(gain), 1.0 / abs(gain))
+            known = next((known for known in _RATIOS if 0.75 < ratio / known < 1.5), 1.0)
+            scale[i] *= 1.0 / known if abs(gain) > 1.0 else known
+            reason = f", {_RATIOS[known]}" if known in _RATIOS else ""
+            warn_channel(
+                f"Channel {str(name)!r} has a low-frequency gain of {gain:.3g} against {reference}, where "
+                f"floors follow the base{reason}. Check units and sensitivity."
+            )
+        explained = abs(1.0 - 1.0 / max(abs(gain), 1.0)) * allowed[1]  # by damping, and by chance
+        beyond = abs(lag) - explained - 3.0 * row["lag_error"]
+        delay[i] = lag if beyond > 0.0 else 0.0
+        if beyond > allowed[0]:
+            late = True
+            warn_channel(
+                f"Channel {str(name)!r} comes {1e3 * abs(lag):.3g} ms ({abs(lag) * _LATE / allowed[0]:.3g} "
+                f"samples) {'after' if lag > 0.0 else 'before'} {reference}, +- {1e3 * row['lag_error']:.2g} "
+                "ms. Check clocks, and what the lag does to phases."
+            )
     found.attrs["order"] = _check_order(found.isel(sensor=comparable))
     delay *= late  # no clock is touched for what no message is worth
     return found.assign(scale=("sensor", scale), delay=("sensor", delay, {"units": "s"}))
-
-
-def _factor(gain: float) -> float:
-    """What puts a gain right: a sign, and units that are known to be mistaken for each other."""
-    sign, ratio = np.sign(gain), max(abs(gain), 1.0 / abs(gain))
-    if _GAINS[0] <= abs(gain) <= _GAINS[1]:
-        return float(sign)
-    known = next((known for known in _RATIOS if 0.75 < ratio / known < 1.5), 1.0)
-    return float(sign * (1.0 / known if abs(gain) > 1.0 else known))
-
-
-def _late(row: dict, damping: float) -> float:
-    """By how much a lag [s] is more than damping and chance explain."""
-    explained = abs(1.0 - 1.0 / max(abs(row["gain"]), 1.0)) * damping
-    return abs(row["lag"]) - explained - 3.0 * row["lag_error"]
-
-
-def _against_base(row: dict, base: str, allowed: tuple[float, float]) -> list[str]:
-    gain, lag = row["gain"], row["lag"]
-    if np.isnan(gain):
-        return []
-    if row["coherence"] < _COHERENT:
-        return [
-            f"is unrelated to {base}: coherence {row['coherence']:.2g}. Another direction or event, no "
-            "motion in the band, or a broken sensor?"
-        ]
-    messages = []
-    if gain < 0.0:
-        messages.append(f"is inverted against {base}: low-frequency gain {gain:.3g}. Multiply it by -1.")
-    if not _GAINS[0] <= abs(gain) <= _GAINS[1]:
-        ratio = max(abs(gain), 1.0 / abs(gain))
-        reason = next((text for known, text in _RATIOS.items() if 0.75 < ratio / known < 1.5), "")
-        messages.append(
-            f"has a low-frequency gain of {gain:.3g} against {base}, where floors follow the base"
-            f"{', ' if reason else ''}{reason}. Check units and sensitivity."
-        )
-    if _late(row, allowed[1]) > allowed[0]:
-        messages.append(
-            f"comes {1e3 * abs(lag):.3g} ms ({abs(lag) * _LATE / allowed[0]:.3g} samples) "
-            f"{'after' if lag > 0.0 else 'before'} {base}, +- {1e3 * row['lag_error']:.2g} ms. "
-            "Check clocks, and what the lag does to phases."
-        )
-    return messages
 
 
 def _check_order(found: xr.Dataset) -> list[str]:
@@ -179,8 +167,22 @@ def check_each(channels: xr.DataArray) -> None:
             for message in (_units(history), *_flat(history)):
                 if message:
                     warn_channel(f"Channel {name} {message}")
-        _copies(names, values)
-        _empty_start(names, filled(values)[0])
+        for j, i in combinations(range(len(names)), 2):
+            parts = ((values[i, :k], values[j, :k]) for k in (100, None))  # the first tell most apart
+            if all(np.array_equal(*part, equal_nan=True) for part in parts):
+                warn_channel(
+                    f"Channels {names[j]} and {names[i]} are identical to the last bit: one sensor read "
+                    "twice. Leave one out."
+                )
+        # a first sample of exact zeros before noise or offsets is the empty packet of a logger
+        whole = filled(values)[0]
+        later = whole[:, 1:21]
+        zero = (whole[:, 0] == 0.0) & (later != 0.0).all(axis=1) & (later.shape[1] == 20)
+        if zero.all() and (np.abs(whole[:, 1]) > 4.0 * np.median(np.abs(np.diff(later)), axis=1)).any():
+            warn_channel(
+                f"The first sample of {', '.join(names)} is exactly zero, unlike those that follow: an empty "
+                "packet? Pass skip=1 to `read_channels`, or trim it."
+            )
 
 
 def implausible(peak: float) -> str:
@@ -245,28 +247,3 @@ def _held(history, starts, lengths, jumps) -> str | None:
         f"repeats one value amid a motion, {history[starts[longest]]:.4g} m/s^2 over {lengths[longest]} "
         f"samples from sample {starts[longest]}: a gap filled by the logger? Cut it off by `trim`."
     )
-
-
-def _copies(names, values) -> None:
-    for i in range(len(names)):
-        for j in range(i):
-            parts = ((values[i, :k], values[j, :k]) for k in (100, None))  # the first tell most apart
-            if all(np.array_equal(*part, equal_nan=True) for part in parts):
-                warn_channel(
-                    f"Channels {names[j]} and {names[i]} are identical to the last bit: one sensor read "
-                    "twice. Leave one out."
-                )
-
-
-def _empty_start(names, values) -> None:
-    """A first sample of exact zeros before noise or offsets: the empty packet of a logger."""
-    later = values[:, 1:21]
-    if later.shape[1] < 20:
-        return
-    zero = (values[:, 0] == 0.0) & (later != 0.0).all(axis=1)
-    jump = np.abs(values[:, 1]) > 4.0 * np.median(np.abs(np.diff(later, axis=1)), axis=1)
-    if zero.all() and jump.any():
-        warn_channel(
-            f"The first sample of {', '.join(names)} is exactly zero, unlike those that follow: an empty "
-            "packet? Pass skip=1 to `read_channels`, or trim it."
-        )

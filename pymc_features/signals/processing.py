@@ -1,9 +1,11 @@
-"""Channels cut to a window, without offsets and drifts, within a band, and at a lower sampling rate."""
+"""Channels cut to a window, without drifts, within a band, at a lower rate, or put right by sensor."""
+
+from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import check_choice, check_integer
+from pymc_features._checks import check_choice, check_integer, is_number, shown, single, to_float
 from pymc_features.signals.channels import (
     check_array,
     check_frequency,
@@ -11,6 +13,7 @@ from pymc_features.signals.channels import (
     filled,
     rebuilt,
     sampling_step,
+    sensor_names,
     widened,
     without,
 )
@@ -107,9 +110,7 @@ def detrend(
     return rebuilt(channels, values - (fit.T @ powers).reshape(values.shape), step)
 
 
-HIGHEST = (
-    10  # order; beyond it rounding moves the gain by per cents where a corner is a thousandth of the rate
-)
+HIGHEST = 10  # order; beyond it rounding moves gains by per cents where a corner is a thousandth of the rate
 
 
 def band_pass(
@@ -233,3 +234,102 @@ def decimate(channels: xr.DataArray, factor: int) -> xr.DataArray:
         values = signal.resample_poly(values, 1, factor, axis=-1, window=window, padtype="line")
         gaps = widened(gaps, _HALF_LENGTH * factor)[..., ::factor]
     return rebuilt(channels, without(values, gaps), factor * step)
+
+
+_REACH = 10  # samples of a shift by a part of one
+
+
+def correct(
+    channels: xr.DataArray,
+    *,
+    scale: float | Mapping[str, float] | None = None,
+    delay: Mapping[str, float] | None = None,
+) -> xr.DataArray:
+    """Multiply channels by factors, and shift those that come late.
+
+    Parameters
+    ----------
+    channels : xarray.DataArray (sensor, time)
+        Measured channels.
+    scale : float or mapping of str to float, optional
+        Factor [-] for all sensors, or by name: -1 for an inverted one.
+    delay : mapping of str to float, optional
+        How late a sensor comes [s], by name, negative if early; any fraction of a sample. The channel is
+        shifted back by as much.
+
+    Returns
+    -------
+    xarray.DataArray (sensor, time)
+        With the times of the input.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a name is no sensor, a factor is zero, or a delay is longer than a quarter of the record.
+
+    Notes
+    -----
+    Shifts are exact for signals below half the sampling rate (a factor exp(i omega delay) of the Fourier
+    transform). What a shift would take from beyond an end of the record has the value of that end. Gaps, NaN,
+    are shifted too; where the shift is no number of whole samples they are wider by ten samples on each side.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> channels = xr.DataArray(
+    ...     [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, -2.0, 0.0, 0.0]],
+    ...     dims=("sensor", "time"),
+    ...     coords={"sensor": ["base", "roof"], "time": 0.5 * np.arange(6)},
+    ... )
+    >>> correct(channels, scale={"roof": -0.5}, delay={"roof": 0.5}).values[1].round(12) + 0.0
+    array([0., 0., 1., 0., 0., 0.])
+    """
+    check_array(channels, sensors=True)
+    names, step = [str(name) for name in sensor_names(channels)], sampling_step(channels)
+    factors = _by_sensor(dict.fromkeys(names, scale) if is_number(single(scale)) else scale, "scale", names)
+    values, most = channels.values.astype(np.float64), 0.25 * step * channels.sizes["time"]
+    for name, factor in factors.items():
+        if factor == 0.0:
+            raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
+        values[names.index(name)] *= factor
+    for name, late in _by_sensor(delay, "delay", names).items():
+        if abs(late) > most:
+            raise ValueError(
+                f"`delay` must be at most a quarter of the record, {most:.4g} s, got {late:g} s for "
+                f"{name!r}. Cut the files to the same time instead."
+            )
+        samples, nearest = late / step, round(late / step)
+        whole, gaps = filled(values[names.index(name)])
+        moved = earlier(whole, samples)
+        if gaps.any():
+            gaps = earlier(gaps.astype(np.float64), nearest) > 0.0
+            moved = without(moved, gaps if nearest == samples else widened(gaps, _REACH))
+        values[names.index(name)] = moved
+    return rebuilt(channels, values, step, 0.0).assign_coords(time=channels["time"])
+
+
+def _by_sensor(given, name, sensors) -> dict[str, float]:
+    """Numbers by sensor."""
+    entries = given if isinstance(given, Mapping) else {}
+    values = {sensor: single(value) for sensor, value in entries.items()}
+    numbers = {sensor: to_float(value) for sensor, value in values.items() if is_number(value)}
+    whole = len(numbers) == len(entries) and np.isfinite([*numbers.values()]).all()
+    if not whole or not (given is None or isinstance(given, Mapping)):
+        raise TypeError(f"`{name}` must be a mapping of sensors to finite numbers, got {shown(given)}.")
+    if unknown := [sensor for sensor in numbers if sensor not in sensors]:
+        raise ValueError(f"`{name}` must name sensors among {', '.join(sensors)}, got {unknown[0]!r}.")
+    return numbers
+
+
+def earlier(series, samples: float) -> np.ndarray:
+    """A series (time,) with constant ends shifted forward by a number of samples, fractions included."""
+    whole, n = int(np.floor(samples)), series.size
+    pad = abs(whole) + n
+    long = np.pad(series, (pad, pad), mode="edge")
+    if samples == whole:
+        return long[pad + whole : pad + whole + n]
+    size = long.size
+    line = np.linspace(long[0], long[-1], size)  # the rest of it begins and ends alike
+    spectrum = np.fft.rfft(long - line) * np.exp(2j * np.pi * np.fft.rfftfreq(size) * samples)
+    moved = np.fft.irfft(spectrum, size) + line + samples * (long[-1] - long[0]) / (size - 1)
+    return moved[pad : pad + n]

@@ -240,31 +240,16 @@ def test_matlab_variables_by_name_and_clock(tmp_path):
 
 
 MATLAB_REFUSED = {  # what is said: what is given
-    r"Sensors without clocks must have the same number of samples": (
-        {"a": MOTION[0], "b": MOTION[1, :9], "dt": 0.02},
-        {},
-    ),
-    r"`columns` must be one of the channels of frame.mat \(a\), got 'x'": (
-        {"a": MOTION[0], "dt": 0.02},
-        {"columns": "x"},
-    ),
+    "Sensors without clocks must have the same": ({"a": MOTION[0], "b": MOTION[1, :9], "dt": 0.02}, {}),
+    "`columns` must be one of the channels of frame.mat": ({"a": MOTION[0], "dt": 0.02}, {"columns": "x"}),
     "`clock` must be one of the columns of frame.mat": ({"a": MOTION[0]}, {"clock": "x"}),
-    r"`t` must have one time for each sample, got 5 beside a": (
-        {"a": MOTION[0], "t": np.arange(5.0)},
-        {},
-    ),
+    "`t` must have one time for each sample, got 5 beside a": ({"a": MOTION[0], "t": np.arange(5.0)}, {}),
     "`dt` must be given, frame.mat does not state": ({"a": MOTION[0]}, {}),
     r"time must be the longer side of a matrix, got shape \(4, 4\)": ({"a": MOTION[:4, :4], "dt": 0.1}, {}),
     "`a`, sample 0: values must be finite numbers, got nan": ({"a": MOTION[0] * np.nan, "dt": 0.1}, {}),
-    "contradicts itself, it states a step of 0.1 s and its clock 0.02": (
-        {"a": MOTION[0, :N], "t": TIME, "dt": 0.1},
-        {},
-    ),
+    "contradicts itself, it states a step of 0.1 s and its": ({"a": MOTION[0, :N], "t": TIME, "dt": 0.1}, {}),
     "must hold histories of at least 2 samples": ({"a": MOTION[0], "dt": 0.1}, {"skip": 79}),
-    r"`t`, sample 30: no samples may": (
-        {"a": MOTION[0, :N], "t": np.delete(0.02 * np.arange(N + 2), [30, 31])},
-        {},
-    ),
+    "`t`, sample 30: no": ({"a": MOTION[0, :N], "t": np.delete(0.02 * np.arange(N + 2), [30, 31])}, {}),
 }
 
 
@@ -392,7 +377,7 @@ def test_files_that_are_refused(tmp_path):
         read({"base": tmp_path / "nothing.csv"})
     with pytest.raises(IsADirectoryError, match="`files` must be a file, got the folder"):
         read([tmp_path])
-    with pytest.raises(ValueError, match="`files` must name at least one file"):
+    with pytest.raises(ValueError, match="`files` must name at least one"):
         read([])
     with pytest.raises(TypeError, match="`files` must be a path, several, or a mapping"):
         read(3)
@@ -423,14 +408,10 @@ def test_clocks_that_are_not_simultaneous(tmp_path):
     files["floor2"] = export(tmp_path, "floor2", MOTION[2, :N], ticks=991_014_697 + TICK * np.arange(N))
     with pytest.warns(ChannelWarning, match=r"floor2.csv: its samples come 3 ms \(0.36 samples\) after"):
         np.testing.assert_allclose(read(files).values, MOTION[:, :N], atol=1e-13)
-    with pytest.warns(
-        ChannelWarning, match=r"base.csv: .* 3 ms \(0.36 samples\) before those of floor2.csv by"
-    ):
+    with pytest.warns(ChannelWarning, match=r"base.csv: .* 3 ms \(0.36 samples\) before those of floor2.csv"):
         read({"floor2": files["floor2"], "base": files["base"]})
     files["floor2"] = export(tmp_path, "floor2", MOTION[2, :N], ticks=991_017_697 + TICK * np.arange(N))
-    with pytest.warns(
-        ChannelWarning, match=r"floor2.csv: .* 2.33 ms \(0.28 samples\) before those of base.csv"
-    ):
+    with pytest.warns(ChannelWarning, match=r"floor2.csv: .* 2.33 ms \(0.28 samples\) before those of"):
         aligned = read(files)  # nearer to the next sample of the others
     np.testing.assert_allclose(aligned.values[0], MOTION[0, 1:N], atol=1e-13)
     np.testing.assert_allclose(aligned.values[2], MOTION[2, : N - 1], atol=1e-13)

@@ -76,9 +76,7 @@ def test_matlab(tmp_path, with_clock):
     values = expected(range(20, 25), 2)[:, rows]
     clock = {"time": 0.02 * rows} if with_clock else {"dt": 0.02}
     savemat(path, dict(zip(NAMES, values, strict=True)) | clock | {"units": "m/s^2"})
-    with pytest.raises(
-        ValueError, match="values must be finite numbers, got nan|no samples may be missing, 2"
-    ):
+    with pytest.raises(ValueError, match="values must be finite numbers, got nan|no samples may be missing"):
         read_channels(path)
     found = read_channels_with_gaps(path).values
     np.testing.assert_allclose(

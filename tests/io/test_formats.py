@@ -316,19 +316,13 @@ def test_peak_that_is_not_one_of_the_numbers_in_the_header(tmp_path, name):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (
-            files.csmip_3(),
-            r"\(CSMIP\), line 0: the file must hold accelerations, got spectra \(V3\). Read the V2",
-        ),
+        (files.csmip_3(), r"\(CSMIP\), line 0: the file must hold accelerations, got spectra \(V3\). Read"),
         (
             files.cosmos(named(1.0, "x"), 0.02).replace("Corrected acceleration", "Response spectra"),
             r"\(COSMOS\), line 1: the file must hold accelerations, got spectra \(V3\)",
         ),
         (files.smc(MOTION[0], 200.0, title="3 VELOCITY"), r"\(SMC\) must hold an acceleration, got '3 VELOC"),
-        (
-            files.cosmos(named(1.0, "x"), 0.02, quantity="velocity"),
-            r"\(COSMOS\) must hold an acceleration, none was found",
-        ),
+        (files.cosmos(named(1.0, "x"), 0.02, quantity="velocity"), r"\(COSMOS\) must hold an acceleration"),
     ],
 )
 def test_files_without_acceleration(tmp_path, text, message):
@@ -341,12 +335,7 @@ def test_files_without_acceleration(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("name", "old", "new", "message"),
     [
-        (
-            "cosmos",
-            "acceleration pts, approx",
-            "accleration pts, approx",
-            "their units and quantity, as acceleration, must stand here",
-        ),
+        ("cosmos", "acceleration pts, approx", "accleration pts, approx", "their units and quantity, as"),
         ("knet", "    9139", "    9.39", r"values must be counts, whole numbers, got '9.39'"),
     ],
 )

@@ -111,9 +111,7 @@ def test_spellings_of_values(tmp_path, row, expected):
 
 def test_values_glued_without_a_sign_are_refused(tmp_path):
     path = write(tmp_path, [IN_G, "NPTS= 3, DT= .01", "0.1234E-02 0.1", "0.1234E-020.5678E-02"])
-    with pytest.raises(
-        ValueError, match=r"motion.AT2 \(PEER AT2\), line 4: values must be finite numbers, got"
-    ):
+    with pytest.raises(ValueError, match=r"motion.AT2 \(PEER AT2\), line 4: values must be finite numbers"):
         read_record(path)
 
 
@@ -161,11 +159,7 @@ def test_agreeing_arguments_do_not_warn(tmp_path):
     ("lines", "arguments", "message"),
     [
         ([PEER, "NPTS= 3, DT= .02", *BODY], {}, '`units` must be given, .* Pass one of "g", "mg", "m/s'),
-        (
-            ["VELOCITY TIME SERIES IN UNITS OF CM/S", "NPTS= 3, DT= .02", *BODY],
-            {},
-            "motion.AT2 must hold accelerations, it states 'CM/S', a unit of velocity",
-        ),
+        (["VELOCITY TIME SERIES IN UNITS OF CM/S", "NPTS= 3, DT= .02", *BODY], {}, "motion.AT2 must hold"),
         ([IN_G, "NPTS= 4, DT= .02", *BODY], {}, "must hold the NPTS = 4 values .* got 3"),
         ([IN_G, "NPTS= 2, DT= .02", *BODY], {}, "must hold the NPTS = 2 values .* got 3"),
         ([IN_G, *BODY], {}, "`dt` must be given, motion.AT2 does not state the time step"),

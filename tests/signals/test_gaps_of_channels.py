@@ -86,9 +86,7 @@ def test_detrend_by_what_was_measured(kind):
         known = ~np.isnan(y)
         line = np.polyfit(time[known], y[known], 1 if kind == "linear" else 0)
         np.testing.assert_allclose(x, y - np.polyval(line, time), atol=1e-9)
-    with pytest.raises(
-        ValueError, match="at least 2 samples of every channel, got 0 of channel 2, which has"
-    ):
+    with pytest.raises(ValueError, match="at least 2 samples of every channel, got 0 of channel 2, which"):
         signals.detrend(array(values), kind, window=(28.5, 29.5))
 
 

@@ -175,24 +175,12 @@ LINE = array(np.arange(30.0))
         (lambda: signals.band_pass(LINE, 5.0, 1.0), ValueError, "`low` must be below `high`, got 5 and"),
         (lambda: signals.band_pass(LINE, high=50.0), ValueError, "`high` must lie between 0 and 50 Hz"),
         (lambda: signals.band_pass(LINE, low=0.0), ValueError, "`low` must lie between"),
-        (lambda: signals.band_pass(LINE, low="1"), TypeError, "`low` must be a frequency"),
-        (
-            lambda: signals.band_pass(LINE, 1.0, order=0),
-            ValueError,
-            "`order` must be an integer from 1 to 10, got 0",
-        ),
+        (lambda: signals.band_pass(LINE, low="1"), TypeError, "`low` must be a number, .* in Hz"),
+        (lambda: signals.band_pass(LINE, 1.0, order=0), ValueError, "`order` must be an integer from 1 to"),
         (lambda: signals.band_pass(LINE, 1.0, order=2.5), ValueError, "`order` must be an integer"),
-        (
-            lambda: signals.band_pass(LINE, 1.0, order=11),
-            ValueError,
-            "`order` must be an integer from 1 to 10",
-        ),
+        (lambda: signals.band_pass(LINE, 1.0, order=11), ValueError, "`order` must be an integer from 1 to"),
         (lambda: signals.band_pass(LINE, 1e-9), ValueError, "`low` must not be so far below the sampling"),
-        (
-            lambda: signals.band_pass(LINE, 1.0, 5.0, order=8),
-            ValueError,
-            "more than 51 samples.*Lower `order`",
-        ),
+        (lambda: signals.band_pass(LINE, 1.0, 5.0, order=8), ValueError, "more than 51 samples.*Lower"),
         (lambda: signals.decimate(LINE, 2), ValueError, "at least 81 samples to be decimated by 2, got 30"),
         (lambda: signals.decimate(LINE, 0), ValueError, "`factor` must be an integer of at least 1, got 0"),
         (lambda: signals.decimate(LINE, 1.5), ValueError, "`factor` must be an integer"),
@@ -399,7 +387,5 @@ def test_check_refuses(building, settings, error, match):
 def test_constant_channel_is_refused(building):
     values = building.copy()
     values[2] = 0.3
-    with pytest.raises(
-        ValueError, match="Channel 'floor2' must move, all its 6001 samples are 0.3. Leave it out"
-    ):
+    with pytest.raises(ValueError, match="Channel 'floor2' must move, all its 6001 samples are 0.3. Leave"):
         check_channels(array(values), BAND)

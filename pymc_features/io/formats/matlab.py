@@ -228,18 +228,21 @@ def _text(value):
 
 def read_matlab(path: Path, request: Request) -> Recording:
     """The vectors of a file, and the rows of its matrices, whose longer side is time; see `read_channels`."""
-    return recording_of_variables(load_variables(path), path.name, request)
-
-
-def recording_of_variables(variables: Mapping, file: str, request: Request) -> Recording:
-    """The vectors and matrices among some variables on their clocks."""
+    file, variables = path.name, load_variables(path)
     groups: dict[tuple[str, int], dict[str, np.ndarray]] = {}
     for name, value in variables.items():
         if isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and value.size > 1 and value.ndim <= 2:
             array = np.squeeze(value)
             groups.setdefault((_inside(name), max(array.shape)), {})[name] = array
+    for (_, n_times), arrays in groups.items():
+        times = [name for name in arrays if Label.of(name.rpartition(".")[2]).role == "time"]
+        if len(times) == len(arrays) and len(groups) > 1 and request.clock is None and request.dt is None:
+            others = [f"{name} {a.shape}" for group in groups.values() for name, a in group.items()]
+            raise ValueError(
+                f"{file}: `{times[0]}` must have one time for each sample, got {n_times} beside "
+                f"{listed(others)}. Name the times by `clock`, or pass clock=False and `dt`."
+            )
     channels = []
-    _check_times(groups, file, request)
     for (inside, n_times), arrays in groups.items():
         problems = {name: _problem(array, name, file, request.gaps) for name, array in arrays.items()}
         channels += [Channel(name, np.zeros(0), problem=text) for name, text in problems.items() if text]
@@ -261,18 +264,6 @@ def recording_of_variables(variables: Mapping, file: str, request: Request) -> R
     return Recording(file, channels, skipped=True)
 
 
-def _check_times(groups, file: str, request: Request) -> None:
-    """Refuse times that are none of the samples of any variable."""
-    for (_, n_times), arrays in groups.items():
-        times = [name for name in arrays if Label.of(name.rpartition(".")[2]).role == "time"]
-        if len(times) == len(arrays) and len(groups) > 1 and request.clock is None and request.dt is None:
-            others = [f"{name} {a.shape}" for group in groups.values() for name, a in group.items()]
-            raise ValueError(
-                f"{file}: `{times[0]}` must have one time for each sample, got {n_times} beside "
-                f"{listed(others)}. Name the times by `clock`, or pass clock=False and `dt`."
-            )
-
-
 def _inside(name: str) -> str:
     """The structure that a variable is in."""
     return name.rpartition(".")[0]
@@ -284,12 +275,10 @@ def _columns(file: str, arrays: dict[str, np.ndarray], n_times: int, request: Re
     for name, array in arrays.items():
         histories = np.atleast_2d(array).astype(np.float64)
         histories = histories if histories.shape[1] == n_times else histories.T
-        if len(histories) == 1:
-            label = Label.of(name.rpartition(".")[2])
-            inside = _inside(name)
-            labels.append(Label(name, f"{inside}.{label.name}" if inside else label.name, label.unit))
-        else:
-            labels += [Label(f"{name} {k}", f"{name} {k}") for k in range(len(histories))]
+        label, inside = Label.of(name.rpartition(".")[2]), _inside(name)
+        one = Label(name, f"{inside}.{label.name}" if inside else label.name, label.unit)
+        several = [Label(f"{name} {k}", f"{name} {k}") for k in range(len(histories))]
+        labels += [one] if len(histories) == 1 else several
         rows += list(histories)
     values = np.array(rows).T[request.skip :]
     eps = max((np.finfo(a.dtype).eps for a in arrays.values() if a.dtype.kind == "f"), default=0.0)
@@ -305,18 +294,15 @@ def _columns(file: str, arrays: dict[str, np.ndarray], n_times: int, request: Re
 
 def _problem(array: np.ndarray, name: str, file: str, gaps: bool) -> str:
     """Why the numbers of a variable are no histories."""
-    bad = np.argwhere(np.isinf(array) if gaps else ~np.isfinite(array))
+    bad, what = np.argwhere(np.isinf(array) if gaps else ~np.isfinite(array)), ""
     if len(bad):
-        return (
-            f"{file}, `{name}`, sample {bad[0].max()}: values must be finite numbers, got "
-            f"{array[tuple(bad[0])]}. Correct or cut it first."
+        value = array[tuple(bad[0])]
+        what = (
+            f", sample {bad[0].max()}: values must be finite numbers, got {value}. Correct or cut it first."
         )
-    if array.ndim == 2 and array.shape[0] == array.shape[1]:
-        return (
-            f"{file}, `{name}`: time must be the longer side of a matrix, got shape {array.shape}. Save one "
-            "vector for each sensor."
-        )
-    return ""
+    elif array.ndim == 2 and array.shape[0] == array.shape[1]:
+        what = f": time must be the longer side of a matrix, got shape {array.shape}. Save vectors."
+    return f"{file}, `{name}`{what}" if what else ""
 
 
 def _stated_units(facts: Mapping, inside: str, file: str) -> str | None:
@@ -354,10 +340,8 @@ def _stated_step(facts: Mapping, inside: str, file: str, dt: float | None) -> fl
             in_si = float(number) * unit.factor
             steps[name] = in_si if unit.quantity == "time" else 1.0 / in_si
     steps = {name: step for name, step in steps.items() if _inside(name) == inside} or steps
-    if not steps:
-        return None
-    first = next(iter(steps.values()))
-    if dt is None and not np.allclose(list(steps.values()), first, rtol=1e-3, atol=0.0):
+    first = next(iter(steps.values()), None)
+    if dt is None and not all(np.isclose(step, first, rtol=1e-3, atol=0.0) for step in steps.values()):
         said = listed([f"{name}: {step:g} s" for name, step in steps.items()])
         raise ValueError(f"`dt` must be given, {file} contradicts itself ({said}).")
     return first

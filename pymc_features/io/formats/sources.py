@@ -55,24 +55,20 @@ def channels_of(stream, source: str, rates: dict[str, float]) -> list[Channel]:
 def _of_frame(frame, request: Request) -> Recording:
     """Columns by their labels; an index that is named as a time, or holds dates, is the clock."""
     labels = [Label.of(str(name)) for name in frame.columns]
-    other = [str(name) for name, kind in frame.dtypes.items() if kind.kind not in "iufb"]
-    if other:
+    if other := [str(name) for name, kind in frame.dtypes.items() if kind.kind not in "iufb"]:
         what = f"a DataFrame with {listed(other)}"
         raise ValueError(f"`files` must hold numbers, got {what}. Drop these columns.")
-    values, stamp, origin = frame.to_numpy(dtype=np.float64), None, 0.0
-    index = frame.index
-    if index.dtype.kind in "mM":
+    values, stamp, origin, index = frame.to_numpy(dtype=np.float64), None, 0.0, frame.index
+    dates = index.dtype.kind in "mM"
+    if dates or (index.name is not None and role_of(str(index.name)) == "time"):
         origin, seconds = _seconds(index.to_numpy())
-        values, stamp = np.insert(values, 0, seconds, axis=1), 0
-        labels = [Label("time", "time"), *labels]
-    elif index.name is not None and role_of(str(index.name)) == "time":
-        values = np.insert(values, 0, index.to_numpy(dtype=np.float64), axis=1)
-        labels = [Label.of(str(index.name)), *labels]
+        values, stamp = np.insert(values, 0, seconds, axis=1), 0 if dates else None
+        labels = [Label("time", "time") if dates else Label.of(str(index.name)), *labels]
     columns = Columns(
         "the DataFrame",
         labels,
         values[request.skip :],
-        lambda row, column: f"row {row}",
+        lambda row, _: f"row {row}",
         stamp=stamp,
         origin=origin,
     )
@@ -80,7 +76,9 @@ def _of_frame(frame, request: Request) -> Recording:
 
 
 def _seconds(times: np.ndarray) -> tuple[float, np.ndarray]:
-    """The first of some dates [s since 1970], or 0 of durations, and the seconds (time,) since then."""
+    """The first of some dates [s since 1970], or 0 of durations and numbers, and the times (time,) since."""
+    if times.dtype.kind not in "mM":
+        return 0.0, times.astype(np.float64)
     nanoseconds = times.astype(f"{times.dtype.kind}8[ns]").astype(np.int64)
     first = int(nanoseconds[0]) if times.dtype.kind == "M" else 0
     return first * 1e-9, (nanoseconds - first) * 1e-9
@@ -94,24 +92,20 @@ def _of_array(array) -> Recording:
         )
     whole = array.expand_dims("sensor") if "sensor" not in array.dims else array
     whole = whole.transpose("sensor", "time")
-    names = whole["sensor"].values if "sensor" in array.coords else np.arange(whole.sizes["sensor"])
+    names = whole["sensor"].values if "sensor" in array.coords else range(whole.sizes["sensor"])
     units = (
         whole.coords["units"].values if "units" in whole.coords else [array.attrs.get("units")] * len(names)
     )
     place = {}
     if "time" in array.coords:
-        times = whole["time"].values
-        dates = times.dtype.kind in "mM"
-        origin, seconds = _seconds(times) if dates else (0.0, times)
-        unit = "s" if dates else str(whole["time"].attrs.get("units", "s"))
+        origin, seconds = _seconds(whole["time"].values)
+        unit = "s" if whole["time"].dtype.kind in "mM" else str(whole["time"].attrs.get("units", "s"))
         place = _place("the DataArray", seconds, unit, origin + float(array.attrs.get("start", 0.0)))
-    return Recording(
-        "the DataArray",
-        [
-            Channel(str(name), row.astype(np.float64), None if unit is None else str(unit), **place)
-            for name, row, unit in zip(names, whole.values, units, strict=True)
-        ],
-    )
+    channels = [
+        Channel(str(name), row.astype(np.float64), None if unit is None else str(unit), **place)
+        for name, row, unit in zip(names, whole.values, units, strict=True)
+    ]
+    return Recording("the DataArray", channels)
 
 
 def _of_dict(entry: Mapping) -> Channel:

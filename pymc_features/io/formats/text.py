@@ -3,7 +3,7 @@
 import csv
 import re
 from array import array
-from functools import lru_cache
+from contextlib import suppress
 from io import BytesIO, StringIO
 from itertools import chain, islice, pairwise
 from pathlib import Path
@@ -25,7 +25,7 @@ MOST_HEADER_LINES = 10_000
 FEW = 200_000  # characters that NumPy reads as fast as pandas is imported
 SAMPLED = 200  # lines whose printed digits say how fine a column is
 ENDS = 12  # lines that tell whether the last one is whole
-DATES = (
+DATES = [
     "%Y-%m-%d",
     "%d.%m.%Y",
     "%d-%b-%Y",
@@ -36,7 +36,7 @@ DATES = (
     "%Y.%m.%d",
     "%d-%m-%Y",
     "%m-%d-%Y",
-)
+]
 DATE = r"\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.](?:\d\d?|[A-Z][a-z]{2})[-/.]\d{4}|\d\d\.\d\d\.\d\d"
 STAMP = re.compile(
     rf"(?:(?P<date>{DATE})(?:T|[ ,;]\s*))?"
@@ -83,9 +83,8 @@ def split(line: str, separator: str) -> list[str]:
 
 def without_ends(cells: list[str]) -> list[str]:
     """Cells without the empty ones at the end."""
-    while len(cells) > 1 and not cells[-1]:
-        cells = cells[:-1]
-    return cells
+    last = next((k for k in range(len(cells) - 1, 0, -1) if cells[k]), 0)
+    return cells[: last + 1]
 
 
 def _with_point(cell: str) -> str:
@@ -166,22 +165,19 @@ def read_columns(path: Path, request: Request) -> Columns:
 
 
 def read_text(path: Path, request: Request) -> Recording:
-    """The columns of a text file on their clock."""
+    """The columns of a text file on their clock; lines that may be one wrapped series are a question."""
     columns = read_columns(path, request)
-    timer = clock_column(columns, request.clock)
-    question = wrapped_question(columns, request.wrapped, timer is not None or columns.own)
-    return recording_of(columns, request, question)
-
-
-def wrapped_question(columns: Columns, wrapped: bool | None, known: bool) -> str:
-    """What to ask of lines that may as well be one wrapped series; "" if it is `known` that they are not."""
-    n_columns = columns.values.shape[1]
-    if wrapped is not None or n_columns < 3 or (known and not is_paired(columns.values, n_columns)):
-        return ""
-    return (
-        f"`wrapped` must be given, {columns.file} has lines of {n_columns} values without labels or clock. "
-        "Pass wrapped=True if one series runs along the lines, wrapped=False if each column is a series."
+    known, n_columns = (
+        clock_column(columns, request.clock) is not None or columns.own,
+        columns.values.shape[1],
     )
+    question = ""
+    if request.wrapped is None and n_columns > 2 and (not known or is_paired(columns.values, n_columns)):
+        question = (
+            f"`wrapped` must be given, {columns.file} has lines of {n_columns} values without labels or "
+            "clock. Pass wrapped=True if one series runs along the lines, else wrapped=False."
+        )
+    return recording_of(columns, request, question)
 
 
 def is_paired(values: np.ndarray, n_columns: int) -> bool:
@@ -197,13 +193,16 @@ def _header(lines: Lines) -> tuple[list[tuple[int, str, bool]], int, Layout]:
     """Number, text and whether it is a comment of each line above the numbers; the first of these; how."""
     header, numbered = [], iter(lines)
     for (number, line), (_, after) in pairwise(chain(numbered, [(0, "")])):
-        if line.startswith(COMMENTS):
-            header.append((number, line.lstrip("#%/ \t"), True))
-        elif (layout := layout_of(line)) is not None and _goes_on(layout, after):
+        comment = line.startswith(COMMENTS)
+        layout = None if comment else layout_of(line)
+        if layout is not None and (layout.decimal == "," or layout.stamp):  # the next must be written alike
+            below = layout_of(after)
+            alike = below is not None and (below.separator, below.stamp) == (layout.separator, layout.stamp)
+            layout = layout if alike else None
+        if layout is not None:
             layout = _with_fraction(line, after, layout)
             return header, number, _one_column(lines, number, header, layout)
-        else:
-            header.append((number, line, False))
+        header.append((number, line.lstrip("#%/ \t") if comment else line, comment))
         if len(header) == MOST_HEADER_LINES:
             break
     if not header:
@@ -226,14 +225,6 @@ def _word_among_numbers(number: int, line: str) -> str:
                 f"Line {number} has {odd[0] or 'an empty cell'!r} among its numbers: leave such columns out. "
             )
     return ""
-
-
-def _goes_on(layout: Layout, after: str) -> bool:
-    """Whether a row is plain, or the line after it is written alike."""
-    if layout.decimal == "." and not layout.stamp:
-        return True
-    found = layout_of(after)
-    return found is not None and (found.separator, found.stamp) == (layout.separator, layout.stamp)
 
 
 def _one_column(lines: Lines, first: int, header, layout: Layout) -> Layout:
@@ -285,7 +276,9 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
         beside = len(rest) == measured + 1 > layout.n_columns and not re.search(
             "[A-Za-z]", odd
         )  # a mark more
-        illegible = not cells[0] or cells[0][0] in "0123456789.+-" or _is_spoilt(cells[0]) or beside
+        digits, letters = (sum(map(kind, cells[0])) for kind in (str.isdigit, str.isalpha))
+        spoilt = "." in cells[0] and digits > 2 * letters  # as L0.0000
+        illegible = not cells[0] or cells[0][0] in "0123456789.+-" or spoilt or beside
         most = below_labels and 2 * measured >= len(cells)
         almost_all = number == first - 1 and 1 < layout.n_columns <= measured + 1 + stamped
         swallowed = almost_all and below_labels and measured > 1
@@ -307,11 +300,6 @@ def _refuse_cut_last(lines: Lines, start: int, layout: Layout) -> None:
             f"{lines.file}: the last line must be whole, it ends in {rows[-1][-12:]!r} with fewer decimals "
             "than the lines above it. Fetch the file again, or cut the line."
         )
-
-
-def _is_spoilt(cell: str) -> bool:
-    """Whether a text was a number, as L0.0000."""
-    return "." in cell and sum(c.isdigit() for c in cell) > 2 * sum(c.isalpha() for c in cell)
 
 
 def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[Label], bool, str | None]:
@@ -472,19 +460,13 @@ def _resolution(lines: Lines, start: int, layout: Layout, index: int, largest: f
             cell = (stamp and stamp["fraction"] or ".").replace(",", ".")
             least = min(least, 1 - len(cell))
         elif to_number(cell) is not None:
-            exponent, n_digits = _printed(cell)
-            least, digits = min(least, exponent), max(digits, n_digits)
+            mantissa, _, power = cell.lower().replace("d", "e").partition("e")
+            whole, _, decimals = mantissa.lstrip("+-").partition(".")
+            least = min(least, max(int(power or 0) - len(decimals), -300))
+            digits = max(digits, len((whole + decimals).lstrip("0")))
     if layout.stamp and index == layout.stamp[0] or largest == 0.0:
         return 10.0**least
     return max(10.0**least, 10.0 ** (np.floor(np.log10(largest)) - digits + 1))
-
-
-def _printed(token: str) -> tuple[int, int]:
-    """Power of ten of the last printed digit of a number, at least -300, and how many digits it has."""
-    mantissa, _, exponent = token.lower().replace("d", "e").partition("e")
-    whole, _, decimals = mantissa.lstrip("+-").partition(".")
-    digits = (whole + decimals).lstrip("0")
-    return max((int(exponent) if exponent else 0) - len(decimals), -300), max(len(digits), 1)
 
 
 # --- time stamps ------------------------------------------------------------------------------------
@@ -495,35 +477,30 @@ def seconds_of(texts: list[str]) -> tuple[float, np.ndarray]:
 
     Without dates they are seconds of a day, past whose end they may run. A time zone is taken into account,
     a half of the day too.
-
-    Examples
-    --------
-    >>> seconds_of(["2024-01-01T10:00:00.5Z", "2024-01-01T11:00:00.5+01:00"])
-    (1704067200.0, array([36000.5, 36000.5]))
-    >>> seconds_of(["12:00:01 PM"])
-    (0.0, array([43201.]))
     """
+    from datetime import UTC, datetime
+
     found = [STAMP.fullmatch(text) for text in texts]
     if None in found:
         raise ValueError(f"time stamps must be as the first, got {texts[found.index(None)]!r}")
-    dates = tuple(dict.fromkeys(match["date"] for match in found if match["date"]))
-    days = days_of(dates)
+    dates, ways = list(dict.fromkeys(match["date"] for match in found if match["date"])), []
+    for form in DATES if dates else ():
+        with suppress(ValueError):
+            ways.append({d: datetime.strptime(d, form).replace(tzinfo=UTC).timestamp() for d in dates})
+    # of two ways to read them the nearer dates
+    days = min(ways, key=lambda way: max(way.values()) - min(way.values()), default={})
     if dates and not days:
         raise ValueError(f"dates must be those of a calendar, all written alike, got {', '.join(dates[:3])}")
     origin = min(days.values(), default=0.0)
-    seconds = np.array(
-        [days.get(match["date"], origin) - origin + _of_day(*match.group(*PARTS)) for match in found]
-    )
+    seconds = np.array([days.get(match["date"], origin) - origin + _of_day(match) for match in found])
     if not days:
         seconds[1:] += 86400.0 * np.cumsum(np.diff(seconds) < -43200.0)
     return origin, seconds
 
 
-PARTS = "hour", "minute", "second", "fraction", "half", "zone"
-
-
-def _of_day(hour, minute, second, fraction, half, zone) -> float:
+def _of_day(match: re.Match) -> float:
     """Seconds since midnight."""
+    _, hour, minute, second, fraction, half, zone = match.groups()
     hour = int(hour)
     if half:
         hour = hour % 12 + (12 if half.strip().lower() == "pm" else 0)
@@ -531,21 +508,6 @@ def _of_day(hour, minute, second, fraction, half, zone) -> float:
     if (zone := (zone or "Z").strip()) not in ("Z", "UTC", "GMT"):
         seconds -= (60 * int(zone[1:3]) + int(zone[-2:])) * (60 if zone[0] == "+" else -60)
     return seconds + float((fraction or "0").replace(",", "."))
-
-
-@lru_cache(16)
-def days_of(dates: tuple[str, ...]) -> dict[str, float]:
-    """Midnights of dates that are written alike [s since 1970]; of two ways to read them the nearer dates."""
-    from datetime import UTC, datetime
-
-    ways = []
-    for form in DATES:
-        try:
-            found = [datetime.strptime(date, form).replace(tzinfo=UTC).timestamp() for date in dates]
-        except ValueError:
-            continue
-        ways.append(dict(zip(dates, found, strict=True)))
-    return min(ways, key=lambda way: max(way.values()) - min(way.values()), default={}) if dates else {}
 
 
 TEXT = Format(

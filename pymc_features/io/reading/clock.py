@@ -62,11 +62,6 @@ def even_clock(
     a multiple of it: then rounding cannot make steps uneven. A thousandth of the step is tolerated anyway.
     With `gaps` half of the samples may be missing, at most. With `dt` [s], the caller's, steps may be uneven,
     which is a warning, and None is returned. `where` is how a message calls the place of a row.
-
-    Examples
-    --------
-    >>> even_clock(np.array([0.0, 0.008, 0.017, 0.025]), lambda row: f"line {row + 1}", 0.001)[0]
-    0.008333333333
     """
     check_increasing(times, where)
     steps = np.diff(times)

@@ -118,13 +118,7 @@ LOWER = {name.lower(): unit for name, unit in reversed(EXACT.items()) if name no
 
 @lru_cache(1024)
 def unit_of(text: str) -> Unit | None:
-    """The unit that a text is, in any usual spelling; None where it is none that is known.
-
-    Examples
-    --------
-    >>> unit_of("cm/sec/sec"), unit_of("kN").quantity, unit_of("m s-2").factor, unit_of("N-S")
-    (Unit(quantity='acceleration', factor=0.01), 'force', 1.0, None)
-    """
+    """The unit that a text is, in any usual spelling; None where it is none that is known."""
     text = _SECOND.sub("s", text.replace("**", "").translate(_PLAIN).strip())
     text = re.sub("/s/s$", "/s2", text, flags=re.IGNORECASE)
     text = re.sub("^inch", "in", text, flags=re.IGNORECASE)
@@ -137,13 +131,7 @@ def unit_of(text: str) -> Unit | None:
 
 
 def role_of(label: str) -> str | None:
-    """What a column is by the words of its label, without brackets; None where they do not say.
-
-    Examples
-    --------
-    >>> role_of("Time"), role_of("Period"), role_of("a_roof")
-    ('time', 'period', 'acceleration')
-    """
+    """What a column is by the words of its label, without brackets; None where they do not say."""
     words = re.split(r"[^a-zA-Z]+", label)
     if not re.search(r"\d", label) and words[0] and {word.lower() for word in words if word} <= NUMBERS:
         return "number"
@@ -151,13 +139,7 @@ def role_of(label: str) -> str | None:
 
 
 def without_brackets(text: str) -> str:
-    """The text without brackets and what stands in them.
-
-    Examples
-    --------
-    >>> without_brackets("acc [g]")
-    'acc'
-    """
+    """The text without brackets and what stands in them."""
     return BRACKETS.sub("", text).strip()
 
 
@@ -180,13 +162,7 @@ class Label(NamedTuple):
 
     @classmethod
     def of(cls, text: str, unit: str | None = None) -> "Label":
-        """The label that a text is, with the unit of a row of units below it.
-
-        Examples
-        --------
-        >>> Label.of("acc [m/s^2]"), Label.of("time_ms").unit, Label.of("a_g").unit
-        (Label(text='acc [m/s^2]', name='acc', unit='m/s^2'), 'ms', None)
-        """
+        """The label that a text is, with the unit of a row of units below it."""
         name = without_brackets(text)
         units = [found.strip() for found in BRACKETS.findall(text)]
         if role_of(name) == "acceleration" and units and units[0] in DIRECTIONS:
@@ -206,13 +182,7 @@ class Label(NamedTuple):
 
 
 def labels_with_brackets(text: str) -> list[str]:
-    """Words, each with the brackets that follow it.
-
-    Examples
-    --------
-    >>> labels_with_brackets("time [s] acc [g] x")
-    ['time [s]', 'acc [g]', 'x']
-    """
+    """Words, each with the brackets that follow it."""
     return _CELL.findall(text)
 
 
@@ -232,13 +202,7 @@ def known_factor(unit: str) -> float | None:
 
 
 def unit_factor(units, quantity: str = "acceleration") -> float:
-    """SI units in one file unit of a quantity, in any usual spelling, or the factor itself, positive.
-
-    Examples
-    --------
-    >>> unit_factor("g"), unit_factor("M/S/S"), unit_factor("Gal"), unit_factor("mm", "displacement")
-    (9.81, 1.0, 0.01, 0.001)
-    """
+    """SI units in one file unit of a quantity, in any usual spelling, or the factor itself, positive."""
     if isinstance(units, str):
         found = unit_of(units)
         if found is None or found.quantity != quantity:
@@ -264,13 +228,7 @@ def sensitivity_of(sensitivity, quantity: str) -> float:
 
 
 def system_of_units(text: str) -> tuple[float, float, float]:
-    """SI units in the force, length and mass of a system of units, "kN, m, t", in any order.
-
-    Examples
-    --------
-    >>> system_of_units("N, mm, t")
-    (1.0, 0.001, 1000.0)
-    """
+    """SI units in the force, length and mass of a system of units, "kN, m, t", in any order."""
     what = 'a force, a length and a mass, such as "kN, m, t"'
     words = [word.strip() for word in text.split(",")] if isinstance(text, str) else []
     found = {}

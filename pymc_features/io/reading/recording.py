@@ -160,61 +160,45 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
     """History (time,) of a channel in SI units at an even step, and its clock."""
     if channel.problem:
         raise ValueError(channel.problem)
-    file, skip = recording.file, 0 if recording.skipped else request.skip
-    role = role_of(channel.name)
-    if channel.unit is None and role in MEASURED and role != request.quantity and request.sensitivity is None:
+    file, skip, quantity = recording.file, 0 if recording.skipped else request.skip, request.quantity
+    role, stated, voltage = role_of(channel.name), channel.dt, request.sensitivity is not None
+    if channel.unit is None and role in MEASURED and role != quantity and not voltage:
         raise ValueError(
-            f"{file} must hold {PLURALS[request.quantity]}, the label {channel.name!r} says {role}. "
-            "Pass the columns that are, or rename it."
+            f"{file} must hold {PLURALS[quantity]}, the label {channel.name!r} says {role}. Pass the columns "
+            "that are, or rename it."
         )
-    dt = resolve_dt(request.dt, _stated_step(channel, request, file), file)
-    quantity = request.quantity if request.sensitivity is None else "voltage"
-    factor = resolve_units(request.units, channel.unit, file, quantity)
-    if request.sensitivity is not None:
-        factor /= sensitivity_of(request.sensitivity, request.quantity)
-    values = channel.values if channel.times is None else _interpolated(channel, dt, file)
-    values = values[skip:]
-    missing = np.flatnonzero(np.isnan(values))
-    if missing.size and not request.gaps:
+    if channel.times is not None:
+        stated = request.dt
+        if stated is None:
+            raise ValueError(
+                f"`dt` must be given, the times of {file} ({channel.name}) are uneven, "
+                f"{float(np.diff(channel.times).mean()):.3g} s apart on average. {SAMPLING_INTERVAL} The "
+                "values are joined by straight lines and read off at this step."
+            )
+    dt = resolve_dt(request.dt, stated, file)
+    factor = resolve_units(request.units, channel.unit, file, "voltage" if voltage else quantity)
+    if voltage:
+        factor /= sensitivity_of(request.sensitivity, quantity)
+    values = (channel.values if channel.times is None else _interpolated(channel, dt, file))[skip:]
+    if not request.gaps and (missing := np.isnan(values)).any():
         raise ValueError(
-            f"{file}, {channel.name}: no samples may be missing, {missing.size} are, the first after "
-            f"{dt * missing[0]:.6g} s. Cut the file to one side, or use `read_channels_with_gaps`."
+            f"{file}, {channel.name}: no samples may be missing, {missing.sum()} are, the first after "
+            f"{dt * missing.argmax():.6g} s. Cut the file to one side, or use `read_channels_with_gaps`."
         )
     if values.size < 2 or np.isinf(values).any():
         raise ValueError(f"{file}, {channel.name}: at least 2 finite samples must be there, got others.")
-    _warn_of_exponents(values, file, channel.name)
-    start = None if channel.start is None or request.clock is False else channel.start + skip * dt
-    return factor * values, Clock(file, values.size, dt, start, channel.quantum)
-
-
-def _warn_of_exponents(values: np.ndarray, file: str, name: str) -> None:
-    """A number among others of quite another size has a digit too many or too few in its exponent."""
+    # a number of quite another size has a digit too many or too few in its exponent
     sizes = np.abs(values)
     largest, least = np.nanmax(sizes), sizes.min(where=sizes > 0.0, initial=np.inf)
-    odd = (
-        largest
-        if np.count_nonzero(sizes * ALONE >= largest) == 1
-        else least
-        if least < TINY * largest
-        else 0.0
-    )
+    alone = np.count_nonzero(sizes * ALONE >= largest) == 1
+    odd = largest if alone else least if least < TINY * largest else 0.0
     if odd and np.count_nonzero(sizes > 0.0) >= FEWEST:
         warn_caller(
-            f"{file}, {name}: a value of {odd:.4g} is of another size than others. Is its exponent spoilt?"
+            f"{file}, {channel.name}: a value of {odd:.4g} is of another size than others. Is its exponent "
+            "spoilt?"
         )
-
-
-def _stated_step(channel: Channel, request: Request, file: str) -> float | None:
-    """Step [s] of a channel; of uneven times the one that the caller asks for."""
-    if channel.times is None:
-        return channel.dt
-    if request.dt is None:
-        raise ValueError(
-            f"`dt` must be given, the times of {file} ({channel.name}) are uneven, "
-            f"{float(np.diff(channel.times).mean()):.3g} s apart on average. {SAMPLING_INTERVAL} The values "
-            "are joined by straight lines and read off at this step."
-        )
-    return request.dt
+    start = None if channel.start is None or request.clock is False else channel.start + skip * dt
+    return factor * values, Clock(file, values.size, dt, start, channel.quantum)
 
 
 def even_or_times(times: np.ndarray, quantum: float, where: Callable[[int], str]) -> dict:
@@ -231,10 +215,8 @@ def _interpolated(channel: Channel, dt: float, file: str) -> np.ndarray:
     times = channel.times - channel.times[0]
     n_times = int(times[-1] / dt * (1.0 + 1e-12)) + 1
     if n_times > 100 * times.size:
-        raise ValueError(
-            f"`dt` must not be a hundredth of the steps of {file}, got {dt:g} s for {times.size} values in "
-            f"{times[-1]:g} s. {SAMPLING_INTERVAL}"
-        )
+        what = f"got {dt:g} s for {times.size} values in {times[-1]:g} s. {SAMPLING_INTERVAL}"
+        raise ValueError(f"`dt` must not be a hundredth of the steps of {file}, {what}")
     values = np.interp(dt * np.arange(n_times), times, channel.values)
     before, after = np.abs(channel.values).max(), np.abs(values).max(initial=0.0)
     if after < 0.99 * before:
@@ -267,39 +249,26 @@ class Columns(NamedTuple):
 def recording_of(columns: Columns, request: Request, question: str = "") -> Recording:
     """The channels of a table on its clock; the clock and numbers of samples are hidden among them."""
     timer = clock_column(columns, request.clock)
-    _check_other_clocks(columns, timer, request)
     place, numbers = _clock(columns, timer, request)
     channels = []
     for index, label in enumerate(columns.labels):
-        is_time = label.role == "time" and (label.known is None or label.known.quantity == "time")
-        hidden = index == timer or is_time or (label.role == "number" and label.unit is None)
         problem = "" if index != timer else f"`columns` must name measurements, column {index} is the clock."
-        values = at_samples(columns.values[:, index], numbers)
-        name = label.name or f"column {index}"
-        unit = label.unit or columns.units
         channels.append(
-            Channel(name, values, unit, **place, label=label.text, hidden=hidden, problem=problem)
+            Channel(
+                label.name or f"column {index}",
+                at_samples(columns.values[:, index], numbers),
+                label.unit or columns.units,
+                **place,
+                label=label.text,
+                hidden=index == timer or _is_clock(label) or (label.role == "number" and label.unit is None),
+                problem=problem,
+            )
         )
     return Recording(columns.file, channels, question=question, skipped=True)
 
 
-def _check_other_clocks(columns: Columns, timer: int | None, request: Request) -> None:
-    """Refuse a table in which each channel has times of its own, unless the caller says which."""
-    if timer is None or request.clock is not None:
-        return
-    scale = request.clock_units or clock_scale(columns, timer) or 1.0
-    times = scale * columns.values[:, timer]
-    for index, label in enumerate(columns.labels):
-        unit = label.known
-        if index == timer or label.role != "time" or unit is None or unit.quantity != "time":
-            continue
-        own = unit.factor * columns.values[:, index]
-        if np.nanmax(np.abs(own - own[0] - times + times[0])) > 0.5 * np.nanmedian(np.diff(times)):
-            raise ValueError(
-                f"`clock` must be given, {columns.file} has {columns.labels[timer].text!r} and "
-                f"{label.text!r}, which run apart. Read the channels of each clock by themselves, by `clock` "
-                "and `columns`."
-            )
+def _is_clock(label: Label) -> bool:
+    return label.role == "time" and (label.known is None or label.known.quantity == "time")
 
 
 def clock_column(columns: Columns, clock) -> int | None:
@@ -339,41 +308,43 @@ def clock_column(columns: Columns, clock) -> int | None:
     return 0 if forward else None
 
 
-def clock_scale(columns: Columns, timer: int) -> float | None:
-    """Seconds per unit of a clock by its label; None where that does not say it."""
-    label = columns.labels[timer]
-    if timer == columns.stamp:
-        return 1.0
-    if label.known is not None and label.known.quantity == "time":
-        return label.known.factor
-    if label.unit is not None:
-        raise ValueError(
-            f"`clock_units` must be given, {columns.file} states {label.unit!r} of its clock, "
-            'which is no known unit of time. Pass "s", "ms", "us" or the seconds per count.'
-        )
-    return COUNTERS.get(label.name.lower())
-
-
 def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict, np.ndarray]:
     """Step, start and resolution of the clock, and the numbers of the samples (row,)."""
-    numbers = np.arange(columns.values.shape[0])
+    file, numbers = columns.file, np.arange(columns.values.shape[0])
     if timer is None:
         return {"dt": columns.dt}, numbers
-    readings = columns.values[:, timer]
-    without = np.flatnonzero(np.isnan(readings))
-    if without.size:
+    readings, label, asked = columns.values[:, timer], columns.labels[timer], request.clock_units
+    if (without := np.isnan(readings)).any():
         raise ValueError(
-            f"{columns.where(int(without[0]), timer)}: the clock must have a time in every row, got none. "
-            "Cut the row."
+            f"{columns.where(int(without.argmax()), timer)}: the clock must have a time in every row, got "
+            "none. Cut the row."
         )
-    asked, unit = request.clock_units, columns.labels[timer].known
-    if asked is not None and unit is not None and not np.isclose(unit.factor, asked, rtol=1e-6):
+    known = (
+        1.0
+        if timer == columns.stamp
+        else label.known and label.known.quantity == "time" and label.known.factor
+    )
+    if asked is not None and label.known is not None and not np.isclose(label.known.factor, asked, rtol=1e-6):
         raise ValueError(
-            f"`clock_units` must be those of the file, {columns.file} states {columns.labels[timer].text!r}, "
-            f"got {asked:g} s. Leave it out, or correct the file."
+            f"`clock_units` must be those of the file, {file} states {label.text!r}, got {asked:g} s. Leave "
+            "it out, or correct the file."
         )
-    stated = clock_scale(columns, timer) if asked is None else asked
+    if asked is None and label.unit is not None and not known:
+        raise ValueError(
+            f"`clock_units` must be given, {file} states {label.unit!r} of its clock, which is no known unit "
+            'of time. Pass "s", "ms", "us" or the seconds per count.'
+        )
+    stated = asked or known or COUNTERS.get(label.name.lower())
     scale = 1.0 if stated is None else stated
+    for index, other in enumerate(columns.labels):  # each channel may have times of its own
+        if request.clock is None and index != timer and other.known is not None and _is_clock(other):
+            times = other.known.factor * columns.values[:, index]
+            apart = times - times[0] - scale * (readings - readings[0])
+            if np.nanmax(np.abs(apart)) > 0.5 * scale * np.nanmedian(np.diff(readings)):
+                raise ValueError(
+                    f"`clock` must be given, {file} has {label.text!r} and {other.text!r}, which run apart. "
+                    "Read the channels of each clock by themselves, by `clock` and `columns`."
+                )
     quantum = scale * columns.resolution(timer)
     step, numbers = even_clock(
         scale * readings, lambda row: columns.where(row, timer), quantum, request.gaps, request.dt
@@ -383,13 +354,13 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
     if step >= 1.0 and stated is None:  # a counter, or other units
         if request.dt is None:
             raise ValueError(
-                f"`clock_units` must be given, the clock of {columns.file} (column {timer}) has a step of "
-                f'{step:g}, too long for seconds. Pass "ms", "us" or the seconds per count, or `dt`.'
+                f"`clock_units` must be given, the clock of {file} (column {timer}) has a step of {step:g}, "
+                'too long for seconds. Pass "ms", "us" or the seconds per count, or `dt`.'
             )
         scale, quantum, step = request.dt / step * scale, quantum * request.dt / step, request.dt
     if columns.dt is not None and not np.isclose(columns.dt, step, rtol=1e-3, atol=0.0):
         raise ValueError(
-            f"{columns.file} contradicts itself, it states a step of {columns.dt:g} s and its clock "
-            f"{step:g} s. Pass `clock_units`, or clock=False and `dt`."
+            f"{file} contradicts itself, it states a step of {columns.dt:g} s and its clock {step:g} s. Pass "
+            "`clock_units`, or clock=False and `dt`."
         )
     return {"dt": step, "start": columns.origin + float(scale * readings[0]), "quantum": quantum}, numbers
