@@ -297,10 +297,7 @@ BROKEN = {
         lambda rows: rows[:20] + rows[19:],
         "floor2.csv, line 27: time must increase, it goes from 991.17",
     ),
-    "shuffled": (
-        lambda rows: [*rows[:20], rows[21], rows[20], *rows[22:]],
-        "line 28: time must increase",
-    ),
+    "shuffled": (lambda rows: [*rows[:20], rows[21], rows[20], *rows[22:]], "line 28: time must increase"),
     "uneven": (
         in_row_20(lambda row: retimed(row, lambda t: t + 3000)),
         r"floor2.csv, line 2\d: time steps must be even, they vary from 0.005333 s to 0.01133 s",

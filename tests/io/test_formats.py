@@ -201,11 +201,7 @@ REFUSED = {  # example, what is changed, to what: what is said
     ("knet", "Duration Time(s)  2", "Duration Time(s)  3"): "must hold 300 values, frequency times duration",
     ("knet", "Duration Time(s)  2", "Duration Time(s)  1"): "frequency times duration that it announces",
     ("knet", "3920(gal)", "3920(cm)"): "the header must state the scale factor, as 3920",
-    (
-        "knet",
-        "Scale Factor",
-        "Scale Facter",
-    ): r"\(K-NET\), line 17: the header must state scale f",
+    ("knet", "Scale Factor", "Scale Facter"): r"\(K-NET\), line 17: the header must state scale f",
     ("knet", "Memo.", "Mema."): "line 17 must be the memo",
     (
         "cosmos",
@@ -251,11 +247,7 @@ REFUSED = {  # example, what is changed, to what: what is said
         "NDATA: 999999999999",
     ): "999999999999 samples at 0.005 s must take the time of the header, got 1 s",
     ("esm", "DATA_TYPE: ACC", "DATA_TYPE: VEL"): "DATA_TYPE must be ACCELERATION, got 'VELELERATION'",
-    (
-        "esm",
-        "SAMPLING_INTERVAL_S",
-        "SAMPLING_INTERVAL_",
-    ): "the header must state SAMPLING_INTERVAL_S, a pos",
+    ("esm", "SAMPLING_INTERVAL_S", "SAMPLING_INTERVAL_"): "the header must state SAMPLING_INTERVAL_S, a pos",
     (
         "nsmn",
         "NUMBER OF DATA          : 200",
@@ -267,11 +259,7 @@ REFUSED = {  # example, what is changed, to what: what is said
         "MUESTRAS, C1-C6          : /200",
         "MUESTRAS, C1-C6          : /201",
     ): "one number of samples and one interval for all channels",
-    (
-        "unam",
-        "/0.005/0.005/0.005",
-        "/0.01/0.01/0.01",
-    ): "200 samples at 0.01 s must take the time of the he",
+    ("unam", "/0.005/0.005/0.005", "/0.01/0.01/0.01"): "200 samples at 0.01 s must take the time of the he",
 }
 
 

@@ -312,6 +312,7 @@ def test_many_columns(tmp_path):
 
 JSON = {
     "modes.json must be a JSON file, it cannot be read": '{"frequency": [1.0,',
+    "the key '' is no name. Correct it": '{"frequency": 1.0, "": 2.0}',
     "cannot be read .a name is there twice": '{"frequency": 1.0, "frequency": 2.0}',
     "must hold one JSON object of named arrays, got a list": "[1.0, 2.0]",
     "modes.json must be a JSON file, it cannot be read ": '{"frequency": ' + "[" * 100_000,

@@ -33,9 +33,7 @@ def save(folder, text, name="modes.uff"):
 
 
 @pytest.mark.parametrize(
-    "text",
-    [files.UNIVERSAL, "".join(files.analysis_2414(mode) for mode in range(3))],
-    ids=["55", "2414"],
+    "text", [files.UNIVERSAL, "".join(files.analysis_2414(mode) for mode in range(3))], ids=["55", "2414"]
 )
 def test_normal_modes(tmp_path, text):
     """Six digits are printed. Directions that are zero in all modes were not measured (note 15)."""

@@ -160,7 +160,7 @@ def test_widths_of_columns_of_universal_files(tmp_path):
         lines[number] = lines[number].replace(old, new, 1)
         with (
             pytest.warns(
-                UserWarning, match=f"h.uff, line {number + 1}: numbers must stand at the right ends"
+                UserWarning, match=f"h.uff, record {number - 1} .* numbers must stand at the right ends"
             ),
             contextlib.suppress(ValueError),
         ):

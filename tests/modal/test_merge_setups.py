@@ -141,10 +141,7 @@ def test_a_mode_that_some_set_ups_did_not_find():
 
 
 def test_references_that_hardly_move():
-    setups = [
-        ModalData([1.0], [[0.01, 1.0]], ["a", "b"]),
-        ModalData([1.0], [[0.5, 1.0]], ["a", "c"]),
-    ]
+    setups = [ModalData([1.0], [[0.01, 1.0]], ["a", "b"]), ModalData([1.0], [[0.5, 1.0]], ["a", "c"])]
     with pytest.warns(ModalDataWarning, match="references hardly move in the mode at 1 Hz of set-up 0, 0.01"):
         merge_setups(setups)
 

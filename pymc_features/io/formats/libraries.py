@@ -43,10 +43,10 @@ BYTE_ORDERS, IEEE = (1, 2), 2  # the least byte first, or last
 SINGLE = (2, 5)  # types of numbers in four bytes
 PER_LINE = 6  # numbers of a line, at most
 UNLABELLED = "", "none"
-#: Columns of the numbers of records 6, of types, nodes and directions, and 7, of the numbers and the step.
+#: Columns of whole numbers of records 6, of types, nodes and directions, and 7, above the step.
 COLUMNS = {6: [(0, 5), (5, 15), (15, 20), (20, 30), (41, 51), (51, 55), (66, 76), (76, 80)]}
-COLUMNS |= {7: [(0, 10), (10, 20), (20, 30), (30, 43), (43, 56), (56, 69)]}
-RIGHT = re.compile(r" *[-+]?\d[-+\d.eEdD]*")
+COLUMNS |= {7: [(0, 10), (10, 20), (20, 30)]}
+RIGHT = re.compile(r" *[-+]?\d+")
 UNKNOWN = (0, 1)  # types of data that do not say what it is
 TYPES = {"strain": 2, "displacement": 8, "force": 9, "velocity": 11, "acceleration": 12, "pressure": 15}
 
@@ -74,8 +74,7 @@ def read_universal(path: Path, request: Request) -> Recording:
         raise ValueError(
             f"{path.name} ({NAME}) must end with a line of -1, it does not. Fetch the file again."
         )
-    if b"\0" not in raw:
-        _check_text(path)
+    _check_text(path, raw)
     with by_library("pyuff", "modal", path, "Universal"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         file = pyuff.UFF(str(path))
@@ -144,22 +143,23 @@ def _channel(file: str, found: dict, quantity: str, raw: bytes) -> Channel:
     return Channel(name, values, unit or None, **spacing, start=float(times[0]))
 
 
-def _check_text(path: Path) -> None:
-    """Look at the columns of records 6 and 7, and at the widths of the lines of numbers, of sets in text."""
-    lines = list(enumerate(Lines(path).whole, 1))
-    marks = [k for k, (_, line) in enumerate(lines) if is_mark(line)]
-    for first, last in zip(marks[::2], marks[1::2], strict=False):
-        if lines[first + 1][1].strip() != FUNCTIONS:
-            continue
-        warn_of_widths(path.name, lines[first + 13 : last])
-        for record, columns in COLUMNS.items():
-            number, line = lines[min(first + 1 + record, last)]
-            cells = [line[begin:end] for begin, end in columns]
+def _check_text(path: Path, raw: bytes) -> None:
+    """Look at the columns of records 6 and 7 of data sets, and at the widths of lines of numbers in text."""
+    for found in re.finditer(rb"(?m)^    -1\s*?\n    58.*\n((?:.*\n){7})", raw.replace(b"\r\n", b"\n")):
+        for record, line in zip((6, 7), found[1].decode("latin-1").split("\n")[5:], strict=False):
+            cells = [line[begin:end] for begin, end in COLUMNS[record]]
             if odd := [cell for cell in cells if cell.strip() and not RIGHT.fullmatch(cell)]:
                 warn_caller(
-                    f"{path.name}, line {number}: numbers must stand at the right ends of their columns, got "
-                    f"{odd[0]!r}. Is a character lost or added, and nodes, directions or the step with it?"
+                    f"{path.name}, record {record} of a data set 58: numbers must stand at the right ends of "
+                    f"their columns, got {odd[0]!r}. Is a character lost or added, and a node, a direction "
+                    "or the step with it?"
                 )
+    if b"\0" not in raw:
+        lines = list(enumerate(Lines(path).whole, 1))
+        marks = [k for k, (_, line) in enumerate(lines) if is_mark(line)]
+        for first, last in zip(marks[::2], marks[1::2], strict=False):
+            if lines[first + 1][1].strip() == FUNCTIONS:
+                warn_of_widths(path.name, lines[first + 13 : last])
 
 
 UNIVERSAL = Format(

@@ -23,14 +23,7 @@ INCH, FOOT, POUND = 0.0254, 0.3048, 4.4482216152605  # m, m, N, exact
 
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "in": INCH, "ft": FOOT, "nm": 1e-9}
 FORCES = {"N": 1.0, "kN": 1e3, "MN": 1e6, "lbf": POUND, "kip": 1e3 * POUND}
-MASSES = {
-    "kg": 1.0,
-    "t": 1e3,
-    "Mg": 1e3,
-    "lb": 0.45359237,
-    "slug": POUND / FOOT,
-    "slinch": POUND / INCH,
-}
+MASSES = {"kg": 1.0, "t": 1e3, "Mg": 1e3, "lb": 0.45359237, "slug": POUND / FOOT, "slinch": POUND / INCH}
 #: SI units per unit, by quantity. Capitals count where "mN" and "MN" differ, and nowhere else.
 UNITS = {
     "acceleration": {"g": G, "mg": 1e-3 * G, "m/s^2": 1.0, "cm/s^2": 0.01, "gal": 0.01, "mgal": 1e-5}

@@ -56,10 +56,10 @@ def read_json_modes(path: Path, names: dict[str, str]) -> Identified:
         )
     for key in found:
         close = get_close_matches(key.lower(), NAMES, 1, ALIKE)
-        if close and key not in names.values() and quantity_of(key, path.name) is None:
+        if (close or not key) and key not in names.values() and quantity_of(key, path.name) is None:
+            looks = f"looks like {close[0]}, misspelt" if close else "is no name"
             raise ValueError(
-                f"{path.name}: the key {key!r} looks like {close[0]}, misspelt. Correct it, rename it, or "
-                "say by `names` what it is."
+                f"{path.name}: the key {key!r} {looks}. Correct it, rename it, or say by `names` what it is."
             )
     return from_variables(found, path.name, names)
 
