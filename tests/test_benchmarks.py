@@ -5,10 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
-import pymc as pm
 import pytest
-from scipy import stats
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -43,20 +40,6 @@ def test_all_of_them_can_be_imported(benchmarks):
                 importlib.import_module(name)
             except ModuleNotFoundError as error:
                 assert not error.name.startswith(("pymc_features", "benchmarks")), name
-
-
-def test_gradients_and_scores_of_a_normal(benchmarks):
-    """What the comparison with other samplers is counted in, and the answers are computed from."""
-    from benchmarks.comparison import gradient_cost
-    from benchmarks.known.exact import scores
-
-    with pm.Model() as model:
-        pm.Normal("y", pm.Normal("x"), 1.0, observed=0.5)
-    assert gradient_cost(model, rounds=1) > 0.0
-    [found] = [value for value in vars(scores).values() if hasattr(value, "log_likelihood")]
-    z = np.array([[0.0], [0.7]])
-    density = found(model)
-    np.testing.assert_allclose(density.log_likelihood(z), stats.norm(density.parameters(z)[:, 0]).logpdf(0.5))
 
 
 @pytest.mark.slow
@@ -113,21 +96,6 @@ def test_command_line_says_what_it_does():
     assert all(word in done.stdout for word in ("--quick", "posteriors", "abc", "dimensions", "targets"))
 
 
-def test_scores(benchmarks):
-    """Independent draws are worth their number: R = 200, so that the effective size is known to 10 %."""
-    from benchmarks.methods.result import Result
-    from benchmarks.scores import score
-    from pymc_features.study.exact import ExactPosterior, Marginal
-
-    nodes = np.linspace(-8.0, 8.0, 2001)
-    normal = Marginal.on_grid(nodes, np.exp(-0.5 * nodes**2), nodes)
-    rng = np.random.default_rng(1)
-    runs = [Result(rng.normal(size=100), rng.normal(size=100), 300.0, 0.0) for _ in range(200)]
-    found = score(runs, [1.0] * 200, ExactPosterior(normal, normal, (0.0, 0.0), 0.0))
-    np.testing.assert_allclose(found.effective, 100.0, rtol=0.4)
-    assert found.evaluations == 300.0 and found.draws == found.distinct == 100.0
-
-
 def test_a_missing_tool_is_reported(benchmarks):
     """Whatever a method raises becomes a line of the table."""
     _, posteriors = benchmarks
@@ -141,59 +109,3 @@ def test_a_missing_tool_is_reported(benchmarks):
     assert posteriors.attempt(missing, None, 1)[1] == ("not installed", "no module named nothing")
     assert posteriors.attempt(broken, None, 1)[1][0] == "failed"
     assert len(posteriors.METHODS) > 10
-
-
-@pytest.fixture(scope="module")
-def tolerance_problem(benchmarks):
-    """Two stiffness groups, 200 draws asked for."""
-    from benchmarks.abc_problem import ToleranceProblem
-
-    return ToleranceProblem(200)
-
-
-@pytest.mark.slow
-def test_region_within_the_tolerance(tolerance_problem):
-    """Draws in a box agree with the grid; both kernels give rho; the response has it too."""
-    from benchmarks.abc_problem import ACCEPTANCE
-
-    problem, exact = tolerance_problem, tolerance_problem.exact
-    half = 5.0 * np.sqrt(np.diag(exact.covariance))
-    points = np.random.default_rng(1).uniform(exact.mean - half, exact.mean + half, (20_000, 2))
-    rho = problem.rho(points)
-    inside = points[rho <= exact.epsilon]
-    # 1900 draws inside: more than three standard errors
-    np.testing.assert_allclose(len(inside) / len(points) * np.prod(2.0 * half), ACCEPTANCE, rtol=0.08)
-    np.testing.assert_allclose((inside.mean(axis=0) - exact.mean) / half, 0.0, atol=0.02)
-    assert problem.rho_of_one(points[0]) == pytest.approx(rho[0])
-    misfit = problem.response_of_one(points[0]) - problem.measured
-    assert np.mean(misfit**2, axis=1).sum() == pytest.approx(rho[0])
-
-
-def test_methods_at_a_tolerance(benchmarks, tolerance_problem):
-    """Ours, rejection, the textbook: all draws are within, and log P is right to what few draws allow."""
-    from benchmarks.abc import score
-    from benchmarks.methods import ABC_METHODS
-
-    _, posteriors = benchmarks
-    assert len(ABC_METHODS) > 8
-    for name in list(ABC_METHODS)[:3]:
-        result, seconds = posteriors.attempt(ABC_METHODS[name], tolerance_problem, 1)
-        assert result is not None, (name, seconds)
-        found = score([result], [seconds], tolerance_problem)
-        assert found.within == 1.0 and found.distinct > 0.3
-        assert abs(found.log_probability_error[0]) < 1.5
-        assert found.simulations > 4 * found.draws
-        np.testing.assert_allclose(found.bias, 0.0, atol=1.5)
-
-
-def test_score_at_a_tolerance(benchmarks, tolerance_problem):
-    """Independent draws of the exact mean and covariance are worth their number: R = 200, known to 7 %."""
-    from benchmarks.abc import score
-    from benchmarks.methods import Accepted
-
-    exact, rng = tolerance_problem.exact, np.random.default_rng(1)
-    draws = rng.multivariate_normal(exact.mean, exact.covariance, (200, 50))
-    found = score([Accepted(points, 500) for points in draws], [2.0, *[1.0] * 199], tolerance_problem)
-    np.testing.assert_allclose(found.effective, 50.0, rtol=0.3)
-    assert found.distinct == 1.0 and found.first == 2.0 and found.seconds == 1.0
-    assert np.isnan(found.log_probability_error).all()

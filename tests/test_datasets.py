@@ -146,11 +146,6 @@ def test_mini_shake_table(no_download, data_dir, recwarn, event, file, n_times, 
     assert base.pga == pytest.approx(pga, abs=1e-3)
 
 
-def test_mini_shake_table_has_two_events():
-    with pytest.raises(ValueError, match="`event` must be one of northridge, sine1p5, got 'kobe'"):
-        mini_shake_table("kobe")
-
-
 def test_mini_shake_table_is_downloaded_once(cache, data_dir, monkeypatch):
     def copy(target):
         shutil.copyfile(
@@ -228,18 +223,6 @@ def test_finite_elements_of_the_footbridge(no_download, published):
         np.testing.assert_allclose(mac, expected["mac"], rtol=1e-7)
 
 
-def test_footbridge_is_downloaded(cache, data_dir, monkeypatch):
-    """Both files once, from a fixed commit."""
-    names = ["ExpModeInfo_FEM.mat", "SteelPedestrianBridgeExp.mat"]
-    calls = serve(
-        monkeypatch, lambda target: shutil.copyfile(data_dir / BRIDGE / names[len(calls) - 1], target)
-    )
-    assert len(footbridge().modal) == len(footbridge().modal) == 5
-    assert [call.rpartition("/")[2] for call in calls] == names
-    folder = "https://raw.githubusercontent.com/ywang-structures/Structural-Model-Updating/"
-    assert all(call.startswith(folder + "79ee420aa5c51b6ab0ca77ba5abbb35a4ea772c4/") for call in calls)
-
-
 def test_a_footbridge_of_other_bytes(tmp_path, monkeypatch):
     (tmp_path / BRIDGE).mkdir(parents=True)
     (tmp_path / BRIDGE / "ExpModeInfo_FEM.mat").write_bytes(b"MATLAB 5.0 MAT-file")
@@ -261,15 +244,3 @@ def test_column(no_download, data_dir):
     assert dict(column.sizes) == {"step": 548}
     assert column["force"].values[:3].tolist() == [0.0, 32470.0, 58731.0]
     assert float(column["displacement"].max()) == pytest.approx(0.078, abs=0.001)
-
-
-def test_column_is_downloaded(cache, data_dir, monkeypatch):
-    """Both files once, from fixed commits."""
-    names = ["experimentDisp.csv", "experimentForce.csv"]
-    folder = data_dir / "rc_column"
-    if not folder.is_dir():
-        pytest.skip("the loops of the column are not there")
-    calls = serve(monkeypatch, lambda target: shutil.copyfile(folder / names[len(calls) - 1], target))
-    assert rc_column().equals(rc_column())
-    assert [call.rpartition("/")[2] for call in calls] == names
-    assert all("/NHERI-SimCenter/quoFEM/" in call and "/qfem-0034/src/" in call for call in calls)

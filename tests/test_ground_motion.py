@@ -1,6 +1,5 @@
 """Synthetic earthquakes: reproducible, scaled, enveloped, and with the spectrum they claim."""
 
-import inspect
 import math
 
 import numpy as np
@@ -8,27 +7,9 @@ import pytest
 from scipy import signal, stats
 
 from pymc_features.ground_motion import AminAng, CloughPenzien, synthetic_earthquake
-from pymc_features.records import Record
 from support.refusals import refusals
 
 OMEGA_G = 5.0 * math.pi
-
-
-def test_signature():
-    assert list(inspect.signature(synthetic_earthquake).parameters)[:4] == [
-        "duration",
-        "dt",
-        "random_seed",
-        "pga",
-    ]
-    record = synthetic_earthquake(10.0, 0.01, 3, pga=1.5)
-    assert isinstance(record, Record)
-    assert (record.n_times, record.dt, record.pga) == (1001, 0.01, 1.5)
-
-
-def test_defaults():
-    record = synthetic_earthquake()
-    assert (record.duration, record.dt, record.pga) == (30.0, 0.02, 3.0)
 
 
 def test_seed_decides_and_global_state_does_not():
@@ -70,15 +51,6 @@ def test_envelope_is_that_of_amin_and_ang():
     expected = np.where(t < 4.0, (t / 4.0) ** 2, np.where(strong, 1.0, 0.1 ** ((t - 10.0) / 20.0)))
     np.testing.assert_allclose(ratio / ratio[strong][0], expected, rtol=1e-9, atol=1e-12)
     assert shaped.acceleration[0] == 0.0
-
-
-def test_default_envelope_scales_with_the_duration():
-    for duration in (5.0, 50.0):
-        shape = AminAng(rise_time=0.1 * duration, strong_time=0.3 * duration, end_level=0.05)
-        np.testing.assert_array_equal(
-            synthetic_earthquake(duration, 0.01, 2).acceleration,
-            synthetic_earthquake(duration, 0.01, 2, envelope=shape).acceleration,
-        )
 
 
 # --- spectrum -----------------------------------------------------------------------------------

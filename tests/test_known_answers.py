@@ -16,12 +16,8 @@ from pymc_features.study.exact import DiscrepancyCurve, Exponents, exact_posteri
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 try:
     import benchmarks.known as known
-    from benchmarks.accuracy import accuracy
     from benchmarks.known import structural
-    from benchmarks.known.exact import bridge, estimates
-    from benchmarks.known.saved import entries
-    from benchmarks.samplers import Run, of_idata
-    from benchmarks.samplers.run import tree
+    from benchmarks.known.exact import estimates
 finally:
     sys.path.pop(0)
 
@@ -133,33 +129,6 @@ def test_exact_draws(name):
         assert (np.abs(problem.modes.found(x) - w) < 5.0 * np.sqrt(w * (1.0 - w) / len(x))).all()
 
 
-def test_accuracy_of_independent_draws():
-    """They are worth their number and have no bias; shifted ones are found out."""
-    problem, rng = known.problem("modes_37-10"), np.random.default_rng(3)
-    runs = [Run(problem.draws(500, rng), 1000.0, 100.0, rng.normal(-29.957, 0.1), 0.1) for _ in range(100)]
-    found = accuracy(runs, [2.0] + 99 * [1.0], problem, gradient_cost=5.0)
-    np.testing.assert_allclose(found.effective, 500.0, rtol=0.3)
-    assert found.cost == 1500.0 and found.seconds == 1.0
-    assert np.sqrt((found.error_in_se**2).mean()) < 2.0
-    np.testing.assert_allclose(found.evidence_se_ratio, 1.0, rtol=0.3)
-    np.testing.assert_allclose(found.mode_weights, [0.3, 0.7], atol=0.01)
-    shifted = [Run(run.draws + 0.1, 1000.0, 100.0) for run in runs]
-    worse = accuracy(shifted, [1.0] * 100, problem, gradient_cost=5.0)
-    assert worse.effective < 0.5 * found.effective and np.isnan(worse.evidence_bias)
-    assert np.sqrt((worse.error_in_se**2).mean()) > 5.0
-
-
-def test_draws_and_cost_of_a_sampler_without_pymc():
-    """By name, in the order of the problem's labels; what is not known is NaN."""
-    problem = known.problem("ridge-2")
-    parameters = {rv.name: np.full(5, float(i)) for i, rv in enumerate(problem.model.free_RVs)}
-    backwards = dict(reversed(parameters.items()))
-    run = of_idata(lambda model, seed: tree(backwards, 70 + seed, -3.0))(problem, 7)
-    np.testing.assert_array_equal(run.draws, np.tile(np.arange(float(len(parameters))), (5, 1)))
-    assert (run.values, run.gradients, run.log_evidence) == (77.0, 0.0, -3.0)
-    assert np.isnan(run.log_evidence_se)
-
-
 @pytest.mark.parametrize("like", ["NORM", "TN", "EXP"])
 def test_saved_answers_of_one_factor(like, total_discrepancy):
     """Found by midpoints in the prior's probability; here by the package's own quadrature."""
@@ -188,41 +157,3 @@ def total_discrepancy():
         return ((measured - response) ** 2).mean(axis=1).sum()
 
     return DiscrepancyCurve(total, (0.5, 1.5), measured.size, n_nodes=301)
-
-
-def test_saved_answers_are_whole():
-    """Of every structural posterior that was solved: quantiles in order, errors small, evidence finite."""
-    solved = entries()
-    assert {"TN-4-wide", "EXP-11-narrow", "logistic-10"} <= set(solved) <= set(known.NAMES)
-    for name in solved:
-        answer = known.saved_answer(name)
-        assert answer.quantiles.shape == answer.quantile_se.shape == (3, len(answer.labels))
-        assert (np.diff(answer.quantiles, axis=0) > 0).all()
-        assert (answer.quantile_se / answer.width).max() < 0.05, name
-        assert np.isfinite([answer.log_evidence, answer.log_evidence_se]).all()
-
-
-def test_bridge_between_gaussians():
-    """ln Z = 3 within its error from a proposal that is too narrow, for which weights alone are wrong."""
-    rng = np.random.default_rng(4)
-    proposal = stats.norm(0.3, 0.5)
-    draws, points = rng.standard_normal((64, 200)), proposal.rvs(10_000, random_state=rng)
-    of_draws, of_points = (3.0 + stats.norm.logpdf(x) - proposal.logpdf(x) for x in (draws, points))
-    log_z, error = bridge.log_evidence(of_draws, of_points, effective=draws.size)
-    assert error < 0.03 and abs(log_z - 3.0) < 4.0 * error
-    assert estimates.pareto_shape(of_points) > 0.5
-
-
-def test_chains_and_their_errors():
-    """Of autoregressive chains: quantiles within their errors, the effective number; stuck ones are seen."""
-    rng = np.random.default_rng(5)
-    x = np.empty((256, 400, 1))
-    x[:, 0] = rng.standard_normal((256, 1))
-    for i in range(1, 400):
-        x[:, i] = 0.8 * x[:, i - 1] + 0.6 * rng.standard_normal((256, 1))
-    found, errors, effective = estimates.of_chains(x)
-    assert (np.abs(found[:, 0] - stats.norm.ppf(known.PROBABILITIES)) < 4.0 * errors[:, 0]).all()
-    np.testing.assert_allclose(effective[1], 256 * 400 / 6.39, rtol=0.3)  # 1 + 2 sum 2 / pi asin(0.8^k)
-    assert estimates.r_hat(x) < 1.05 and estimates.memory(x) < 0.3
-    x[:100] += 3.0
-    assert estimates.r_hat(x) > 1.3 and estimates.memory(x) > 0.9

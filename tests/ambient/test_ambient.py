@@ -171,27 +171,6 @@ def state_space(dt, frequency, ratio, density, error):
     return transition, covariance - transition @ covariance @ transition.T, covariance, error / (2.0 * dt)
 
 
-def test_log_likelihood_differences_of_a_long_record():
-    """3,840 s, 460 frequencies in the half-power width: to 0.7 %, twice the largest error of 20 records."""
-    n, dt = 38_400, 0.1
-    truth = {"frequency": 2.0, "ratio": 0.03, "density": 4.0, "error": 1e-3}
-    transition, noise, covariance, error = state_space(dt, **truth)
-    rng = np.random.default_rng(2)
-    states = np.linalg.cholesky(covariance) @ rng.standard_normal(2), np.linalg.cholesky(noise)
-    shocks, y = (states[1] @ rng.standard_normal((2, n))).T, np.empty(n)
-    x = states[0]
-    for k in range(n):
-        y[k], x = x[0], transition @ x + shocks[k]
-    y += np.sqrt(error) * rng.standard_normal(n)
-    model = one_oscillator(y, dt, [1.5 / (n * dt), 4.997])
-    logp = model.compile_fn(model.datalogp)
-    exact_truth, found_truth = kalman_logp(y, *state_space(dt, **truth)), logp(truth)
-    for other in ({"frequency": 1.85}, {"ratio": 0.06}, {"density": 8.0}, {"error": 2e-3}):
-        expected = exact_truth - kalman_logp(y, *state_space(dt, **truth | other))
-        found = found_truth - logp(truth | other)
-        np.testing.assert_allclose(found, expected, rtol=0.007, err_msg=str(other))
-
-
 def test_draws_have_the_spectral_density_of_the_model():
     """Mean periodograms of 40 draws over 40 frequencies: 1600 exponential numbers, here within 4.5 s.e."""
     density, error, dt, n = 3.0, 0.2, 0.05, 1600

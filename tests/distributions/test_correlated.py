@@ -22,12 +22,9 @@ from pymc_features.ops import (
     StructuralResponse,
     misfit_statistics,
 )
-from pymc_features.simulators import QUANTITIES, request
-from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators import QUANTITIES
 from pymc_features.smc.density.evaluation import population_logp
 from support.graphs import LIGHT, PLAIN, our_ops, our_ops_of
-from support.kernels import chain_misfit, chain_response, population_discrepancy, population_misfit
-from support.reference import misfit_statistics as by_definition
 from support.refusals import refusals
 from support.structures import noise_record, three_storeys, with_first_spring, with_noise
 
@@ -155,49 +152,6 @@ def test_information_is_what_the_docstring_says():
 # --------------------------------------------------------------------------- kernels and Ops
 
 
-def population(rng, n_particles, n_dof):
-    """mass (shared), stiffness, rayleigh (shared), ratios."""
-    return (
-        rng.uniform(0.5, 2.0, (1, n_dof)),
-        1000.0 * rng.uniform(0.3, 3.0, (n_particles, n_dof)),
-        rng.uniform(0.0, 1e-3, (1, 2)),
-        rng.uniform(0.0, 0.1, (n_particles, n_dof)),
-    )
-
-
-SETTINGS = [
-    {},
-    {"dt": 0.25 * DT, "sensors": [2, 0]},
-    {"dt": 3 * DT, "quantity": "relative_acceleration", "n_modes": 2},
-    {"dt": 7 * DT, "quantity": "relative_displacement", "sensors": [1]},
-    {"quantity": "relative_velocity", "n_modes": 1},
-]
-
-
-@pytest.mark.parametrize("settings", SETTINGS, ids=str)
-@pytest.mark.parametrize("n_times", [1, 2, 15, 16, 17, 33, 128, 203])
-def test_kernels_against_the_definition(settings, n_times):
-    """One particle, and populations with vectors that are not full, around the ends of all blocks."""
-    rng = np.random.default_rng(n_times)
-    asked = request(3, DT, **settings)
-    ground = rng.normal(size=n_times)
-    common = (ground, DT, asked.substeps, asked.stride, asked.sensors, asked.n_modes, asked.quantity_code)
-    data = rng.normal(size=(asked.sensors.size, asked.n_outputs(n_times)))
-    parameters = population(rng, LANES + 3, 3)
-    parameters[1][2, 1] = -1.0
-    together = population_misfit(*parameters, *common, data)
-    assert together.shape == (LANES + 3, len(data), 4)
-    plain = population_discrepancy(*parameters, *common, data)  # compiled apart, hence rounded apart
-    np.testing.assert_allclose(together[..., 0], plain, rtol=1e-13)
-    for p, got in enumerate(together):
-        own = [x[p % len(x)] for x in parameters]
-        expected = by_definition(data - chain_response(*own, *common))
-        expected[np.isnan(expected).any(axis=-1)] = np.nan  # of one sample there are no increments to fail
-        assert np.isnan(expected).all() == (p == 2)
-        for values in (got, chain_misfit(*own, *common, data)):
-            np.testing.assert_allclose(values, expected, rtol=1e-10, atol=1e-11)
-
-
 @pytest.fixture(scope="module")
 def pulse():
     return noise_record(150, DT)
@@ -242,26 +196,6 @@ def test_fused_equals_unfused(mode, settings, pulse, measured):
         values = [100.0, 60.0, 140.0], [1.0, 0.5, 2.0], np.array([1.0, 0.7, 1.3]) * tau
         for a, b in zip(fused(*values), unfused(*values), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-10)
-
-
-def test_fused_only_where_it_is_a_response(pulse, measured):
-    """Through names and copies, and for batches of data; other expressions as they stand."""
-    mu = response(three_storeys(100.0), pulse)
-    exact = mu.eval(mode=PLAIN)
-    with pm.Model():
-        named = pm.Deterministic("mu", mu)
-    for tensor, values, data, ops in [
-        (named, exact, measured, {StructuralMisfit}),
-        (mu, exact, np.stack([measured, 2 * measured]), {StructuralMisfit}),
-        (mu + 1.0, exact + 1.0, measured, {StructuralResponse}),
-        (mu[0], exact[0], measured[0], {StructuralResponse}),
-        (pt.as_tensor_variable(exact), exact, measured, set()),
-    ]:
-        statistics = misfit_statistics(tensor, data)
-        assert our_ops([statistics]) == ops
-        np.testing.assert_allclose(statistics.eval(mode=PLAIN), by_definition(data - values), rtol=1e-10)
-    with pytest.raises(ValueError, match=r"got \(150, 3\). Transpose it: time is the last axis"):
-        misfit_statistics(mu, measured.T)
 
 
 @pytest.mark.slow
@@ -392,16 +326,6 @@ def build_model(pulse, observed, theta=None, sigma=None, tau=None, wrap=lambda m
 ANY = {name: (lambda name=name: pm.Normal(name)) for name in ("theta", "sigma", "tau")}
 
 
-def test_models_take_the_fused_ops(pulse, measured):
-    """One particle and populations; a response that is changed first is the negative control."""
-    model = build_model(pulse, measured)
-    assert our_ops_of(model.compile_logp(mode=LIGHT)) == {StructuralMisfit}
-    evaluation = population_logp(model, model.initial_point(), {"mode": LIGHT})
-    assert evaluation.batched and our_ops_of(evaluation.function) == {PopulationMisfit}
-    control = build_model(pulse, measured, wrap=lambda mu: 2.0 * mu, dt=DT)
-    assert our_ops_of(control.compile_logp(mode=LIGHT)) == {StructuralResponse}
-
-
 def test_population_equals_single_and_counts_failures(pulse, measured):
     """Every particle as by `compile_logp`, -inf outside the support, failed simulations counted."""
     model = build_model(pulse, measured, **ANY)
@@ -434,15 +358,6 @@ def test_step_as_data(pulse, measured):
         r = measured[:, ::stride] - simulate(three_storeys(100.0), pulse, dt=stride * DT).values
         expected = sum(recursive(x, 1.0, 10 * stride * DT) for x in r)
         assert float(logp({"theta_log__": 0.0})) == pytest.approx(expected, rel=1e-10)
-
-
-def test_times_of_a_response_of_another_kind():
-    """The time axis gets the seconds that dt tells."""
-    with pm.Model(coords={"sensor": range(2)}) as model:
-        CorrelatedNormal(
-            "y", np.zeros((2, 5)), 1.0, 1.0, 0.5, observed=np.ones((2, 5)), dims=("sensor", "time")
-        )
-    np.testing.assert_allclose(model.coords["time"], np.arange(5) * 0.5)
 
 
 @pytest.mark.statistical

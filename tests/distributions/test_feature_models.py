@@ -76,12 +76,6 @@ def test_time_dimension_of_predictions_without_data(pulse, deterministic):
     np.testing.assert_allclose(model.coords["seconds"], np.arange(21) * 0.04, rtol=1e-14)
 
 
-def test_known_time_dimension_is_left_alone(pulse, measured):
-    with pm.Model(coords={"sensor": range(3), "time": np.arange(21) * 40}) as model:
-        TruncNormalFeature("y", measured, 1.0, observed=measured + 1.0, dims=("sensor", "time"))
-    assert list(model.coords["time"]) == list(range(0, 840, 40))
-
-
 def test_log_likelihood_of_each_sensor(updated, pulse, measured):
     """Group log_likelihood: one value for each sensor, equal to the equation."""
     likelihood, model, posterior = updated
@@ -173,33 +167,7 @@ def test_posterior_predictive_has_the_law_of_the_feature(likelihood, pulse):
     assert stats.kstest(rms.ravel(), RMS_LAW[OTHER[likelihood]].cdf).pvalue < 1e-9
 
 
-@pytest.mark.default_mode
-@pytest.mark.slow
-@EVERY_FEATURE
-def test_draws_by_numba(likelihood):
-    """The default backend has the same law as Python (KS at 1e-3)."""
-    y = declare(likelihood, np.zeros((2, 5)), 1.0)
-    values = pm.draw(y, draws=2000, random_seed=8)
-    rms = np.sqrt(np.mean(values**2, axis=-1)).ravel()
-    assert stats.kstest(rms, RMS_LAW[likelihood].cdf).pvalue > 1e-3
-    assert stats.kstest(rms, RMS_LAW[OTHER[likelihood]].cdf).pvalue < 1e-9
-
-
 POINT = {"theta_interval__": 0.1, "sigma_log__": -1.0}
-
-
-def test_data_containers_can_be_exchanged(pulse, measured):
-    with pm.Model() as model:
-        theta, sigma = pm.Uniform("theta", 0.5, 1.5), pm.HalfNormal("sigma", 1.0)
-        data = pm.Data("measured", measured)
-        mu = response(with_first_spring(theta), pulse, dt=0.04)
-        ExpFeature("y", mu=mu, sigma=sigma, observed=data)
-    logp = model.compile_logp(mode=LIGHT)
-    for values in (measured, 2.0 * measured):
-        with model:
-            pm.set_data({"measured": values})
-        literal = build_model(ExpFeature, pulse, values).compile_logp(mode=LIGHT)
-        assert float(logp(POINT)) == pytest.approx(float(literal(POINT)), rel=1e-12)
 
 
 @EVERY
@@ -227,21 +195,6 @@ def test_long_data_do_not_become_constants(pulse):
     observed = model.rvs_to_values[y]
     assert isinstance(observed, pytensor.compile.SharedVariable)
     np.testing.assert_array_equal(observed.get_value(), data)
-
-
-def test_names_in_print(updated):
-    likelihood, model, _ = updated
-    assert f"y ~ {likelihood.__name__}(f(theta), sigma" in model.str_repr()
-    assert f"\\operatorname{{{likelihood.__name__}}}" in model.str_repr(formatting="latex")
-
-
-def test_graphviz(updated):
-    graphviz = pytest.importorskip("graphviz")
-    graph = pm.model_to_graphviz(updated[1])
-    assert isinstance(graph, graphviz.Digraph)
-    assert updated[0].__name__ in graph.source
-    assert all(f"{parent} -> y" in graph.source for parent in ("theta", "sigma"))
-    assert "sensor (3) x time (21)" in graph.source.replace("×", "x")
 
 
 # --------------------------------------------------------------------------- warnings
@@ -331,13 +284,6 @@ def test_noise_free_data_are_warned_of(likelihood, pulse):
     declared(noisy, None)
 
 
-def test_declaring_a_usual_model_is_silent(pulse, measured):
-    with warnings.catch_warnings(), pm.Model():
-        warnings.simplefilter("error")
-        ExpFeature("y", np.zeros((3, 21)), pm.HalfNormal("sigma"), observed=measured)
-        TruncNormalFeature("z", np.zeros((3, 21)), 1.0, observed=measured)
-
-
 # --------------------------------------------------------------------------- sigma and tolerance
 
 
@@ -386,19 +332,6 @@ def test_abc_tolerance_of_a_posterior():
     each = xr.DataArray(rng.gamma(3.0, size=(2, 500, 3)), dims=("chain", "draw", "sensor"))
     expected = 2 * 3 * np.quantile(each.values, 0.9, axis=(0, 1)) ** 2
     np.testing.assert_allclose(abc_tolerance(each, 3), expected, rtol=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("given", "match"),
-    [
-        (xr.DataTree(), "must hold a posterior, got a DataTree without that group"),
-        (xr.Dataset({"s": 1.0}), "must hold a variable of that name, got s. Pass its draws"),
-        (xr.DataArray([1.0], dims="time"), r"must have the dimensions chain and draw, got \('time',\)"),
-    ],
-)
-def test_abc_tolerance_refuses_what_is_no_posterior(given, match):
-    with pytest.raises(ValueError, match=f"`sigma` {match}"):
-        abc_tolerance(given, 2)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Command lines as simulators, and the settings of simulators."""
 
-import inspect
-import re
 import sys
 from pathlib import Path
 
@@ -9,8 +7,6 @@ import numpy as np
 import pytest
 
 from pymc_features import ExternalSimulator, ProgramSimulator
-from pymc_features.external import checks
-from pymc_features.external.evaluator import EvaluationOptions, Evaluator
 from support.external_functions import DATA, SHAPE, beam, lives, wait_until
 
 PYTHON = [sys.executable, "-S"]
@@ -172,19 +168,6 @@ BAD_SETTINGS = {
 def test_settings_that_cannot_be(message):
     with pytest.raises((ValueError, TypeError), match=message):
         ExternalSimulator(**{"function": beam, "shape": SHAPE, **BAD_SETTINGS[message]})
-
-
-def test_options_of_the_evaluation_are_its_arguments():
-    assert set(EvaluationOptions.__annotations__) == set(inspect.signature(Evaluator).parameters)
-    match = r"of ExternalSimulator\(\) must .* got 'time_out'. Did you mean 'timeout'"
-    with pytest.raises(TypeError, match=match):
-        ExternalSimulator(beam, SHAPE, time_out=1.0)
-
-
-def test_every_setting_that_is_checked_is_tested():
-    names = {re.match("`(\\w+)`", message)[1] for message in BAD_SETTINGS}
-    checked = (inspect.signature(f).parameters for f in (checks.check_simulator, checks.check_evaluation))
-    assert names == set().union(*checked)
 
 
 def test_dask_has_to_be_installed_and_reachable(simulator, monkeypatch):

@@ -10,7 +10,6 @@ import pytensor
 import pytest
 
 from pymc_features import (
-    DiscrepancySimulator,
     ExternalSimulator,
     RayleighDamping,
     SpringMassChain,
@@ -127,16 +126,6 @@ def test_failures_are_impossible_and_counted(simulator):
         assert {f.parameters for f in s.failures} == {(1.0,)}
 
 
-def test_what_is_far_from_the_data_has_not_failed(simulator):
-    with pm.Model() as model:
-        k = pm.Normal("k", 0.0, 9.0)
-        mu = simulator(functions.ways_to_fail)(k)
-        DiscrepancySimulator("y", mu, epsilon=1e-3, observed=beam(1.5), kernel="uniform")
-    _, values, failed = population_logp(model, model.initial_point(), {})(np.array([[1.0], [1.5], [1.6]]))
-    assert failed.tolist() == [True, False, False]
-    assert np.isfinite(values).tolist() == [False, True, False]
-
-
 def test_predictive_draws(simulator):
     s = simulator()
     model = model_of("ABC", s, DATA)
@@ -174,20 +163,6 @@ def test_gradient_against_differences(kind, likelihood, simulator):
     h = 1e-3
     near, far = at(0.2 + h) - at(0.2 - h), at(0.2 + 2 * h) - at(0.2 - 2 * h)
     np.testing.assert_allclose(slope, (8.0 * near - far) / (12.0 * h), rtol=1e-7)
-
-
-def test_gradient_by_numbers_and_arrays(simulator):
-    s = simulator(functions.two, gradient=functions.two_gradient)
-    cotangent = np.random.default_rng(0).normal(size=SHAPE)
-    a, b = s.gradients(np.array([1.5]), np.array([[1.0, 2.0]]), cotangent=cotangent)
-    exact = functions.two_gradient(1.5, [1.0, 2.0], cotangent)
-    np.testing.assert_allclose(a[0], exact[0])
-    np.testing.assert_allclose(b[0], exact[1])
-    s.gradients(np.array([2.5]), np.array([[1.0, 2.0]]), cotangent=cotangent)
-    assert len(s.evaluator._works) == 1  # no process for each call
-    wrong = simulator(functions.two, gradient=lambda a, b, cotangent: np.zeros(3))
-    assert np.isnan(wrong.gradients(np.array([1.5]), np.array([[1.0, 2.0]]), cotangent=cotangent)[0]).all()
-    assert "`gradient` must return arrays of the shapes" in wrong.failures[0].message
 
 
 @pytest.mark.slow

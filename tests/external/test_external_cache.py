@@ -7,16 +7,14 @@ import os
 import shutil
 import sqlite3
 import threading
-import time
 from pathlib import Path
 
 import cloudpickle
-import numba
 import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_features import DiscrepancySimulator, ProgramSimulator, TruncNormalFeature, sample_smc
+from pymc_features import DiscrepancySimulator, ProgramSimulator, TruncNormalFeature
 from pymc_features.exceptions import UnknownIdentityError
 from pymc_features.external import EvaluationCache
 from pymc_features.fingerprint import fingerprint
@@ -26,7 +24,6 @@ from pymc_features.smc.sample import is_parallel_by_itself
 from support import external_functions as functions
 from support.commands import run_python
 from support.external_functions import DATA, Counted, beam
-from support.sampling import QUIET
 
 # --------------------------------------------------------------------------- identity
 
@@ -138,15 +135,6 @@ def test_what_a_function_holds_counts(holder):
     assert fingerprint(make(1.0)) == fingerprint(make(1.0)) != fingerprint(make(2.0))
 
 
-def test_order_and_type_count_but_sharing_does_not():
-    assert fingerprint({"a": 1, "b": 2}) != fingerprint({"b": 2, "a": 1})
-    assert fingerprint(1) != fingerprint(1.0) != fingerprint(True) and fingerprint(0.0) != fingerprint(-0.0)
-    assert fingerprint([1], [2]) != fingerprint([1, 2]) and fingerprint("1") != fingerprint(b"1")
-    array = np.arange(3.0)
-    assert fingerprint([array, array]) == fingerprint([array, array.copy()])
-    assert fingerprint(array) != fingerprint(array.astype(int)) != fingerprint(array[None])
-
-
 def test_large_and_tangled_things_are_read_once():
     tangled = [1.0]
     for _ in range(60):
@@ -160,11 +148,6 @@ def test_large_and_tangled_things_are_read_once():
         deep = [deep]
     with pytest.raises(UnknownIdentityError, match="nested too deeply"):
         fingerprint(deep)
-
-
-def test_compiled_functions():
-    a, b, c = (numba.njit(closure(v)) for v in (1.0, 1.0, 2.0))
-    assert fingerprint(a) == fingerprint(b) != fingerprint(c)
 
 
 def model_with(simulator):
@@ -210,13 +193,6 @@ def test_the_same_in_another_process(simulator, tmp_path):
     ]
     np.testing.assert_array_equal(s.responses(np.array([2.0]))[0], beam(2.0))
     assert sorted(k for _, k in s.function.calls()) == [1.0, 2.0]
-
-
-def test_model_fingerprints(simulator):
-    own = model_fingerprint(model_with(simulator()))
-    assert own == model_fingerprint(model_with(simulator(executor=2)))
-    assert own != model_fingerprint(model_with(simulator(version="2")))
-    assert own != model_fingerprint(model_with(simulator(closure(1.0))))
 
 
 # --------------------------------------------------------------------------- the cache
@@ -276,22 +252,6 @@ def write(path, first, barrier):
 
 
 @pytest.mark.processes
-def test_simulations_wait_for_a_slow_writer(simulator, tmp_path, monkeypatch):
-    """A run that is killed loses at most two results of each process, on a busy machine too."""
-    s = simulator(Counted(tmp_path / "calls"), executor=2, cache=tmp_path / "cache.sqlite")
-    add, ahead = EvaluationCache.add, []
-
-    def slowly(cache, *result):
-        time.sleep(0.01)
-        ahead.append(len(s.function.calls()) - len(ahead))
-        add(cache, *result)
-
-    monkeypatch.setattr(EvaluationCache, "add", slowly)
-    s.responses(np.arange(1.0, 31.0))
-    assert len(ahead) == 30 and max(ahead) <= 4
-
-
-@pytest.mark.processes
 def test_several_writers(tmp_path):
     """The file is made, and written to, by several processes at once."""
     context = multiprocessing.get_context("fork")
@@ -307,24 +267,6 @@ def test_several_writers(tmp_path):
         for i in range(280):
             np.testing.assert_array_equal(cache.find(str(i)), np.full(3, float(i)))
         assert cache.find("280") is None
-
-
-def test_several_threads(tmp_path):
-    cache = EvaluationCache(tmp_path / "cache.sqlite")
-    wrong = []
-
-    def work(first):
-        for i in range(first, first + 50):
-            cache.add(str(i), (1.0,), Outcome("ok", np.array([float(i)])))
-            if cache.find(str(i)) != [i]:
-                wrong.append(i)
-
-    threads = [threading.Thread(target=work, args=(50 * i,)) for i in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not wrong and cache.execute("SELECT count(*) FROM results") == [(200,)]
 
 
 @pytest.mark.processes
@@ -365,16 +307,6 @@ def test_what_is_no_cache_is_refused(tmp_path):
         assert (tmp_path / name).read_bytes() == before
 
 
-def test_a_relative_path_stays_where_it_was(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    cache = EvaluationCache("cache.sqlite")
-    monkeypatch.chdir("/")
-    cache.add("1", (1.0,), Outcome("ok", np.ones(1)))
-    assert cloudpickle.loads(cloudpickle.dumps(cache)).find("1") == [1.0]
-    cache.close()
-    assert cache.find("1") == [1.0]  # opens again
-
-
 # --------------------------------------------------------------------------- pickling
 
 
@@ -410,13 +342,3 @@ def test_chains_are_not_parallel_by_default(noise, simulator):
             mu, parameters = (s(k), ()) if expected else (s, (k,))
             DiscrepancySimulator("y", mu, *parameters, epsilon=1.0, observed=DATA, noise=noise)
         assert is_parallel_by_itself(model) == expected
-
-
-@pytest.mark.processes
-def test_chains_in_parallel_give_the_same(simulator, tmp_path):
-    draws = []
-    for cores in (1, 2):
-        with model_with(simulator(cache=tmp_path / "cache.sqlite")):
-            idata = sample_smc(40, chains=2, cores=cores, mp_ctx="fork", random_seed=1, **QUIET)
-            draws.append(idata.posterior["k"].values)
-    np.testing.assert_array_equal(draws[0], draws[1])

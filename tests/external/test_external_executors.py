@@ -12,7 +12,7 @@ import pytest
 from pymc_features import ExternalSimulator, PopulationIMH, TruncNormalFeature, sample_smc
 from pymc_features.exceptions import NoWorkersError
 from support import external_functions as functions
-from support.external_functions import DATA, SHAPE, Counted, Timed, beam, lives, wait_until
+from support.external_functions import DATA, SHAPE, Counted, beam, lives, wait_until
 from support.sampling import QUIET
 
 distributed = pytest.importorskip("distributed")
@@ -64,26 +64,6 @@ def test_the_same_particles_as_here(cluster, tmp_path):
     np.testing.assert_array_equal(draws[0], draws[1])
 
 
-def test_two_workers_run_at_the_same_time(cluster, client, tmp_path):
-    """Where either may, calls of both overlap; where only one may (the negative control), none do."""
-    first, _ = client.scheduler_info(n_workers=-1)["workers"]
-    shares = []
-    with client.get_executor(workers=[first], pure=False) as one:
-        for executor in (one, cluster.scheduler_address):
-            function = Timed(tmp_path / f"calls{len(shares)}", seconds=0.1)
-            with on(executor, function) as simulator:
-                simulator.responses(np.linspace(1.0, 2.0, 16))
-            calls = function.calls()
-            processes = {pid for pid, _, _ in calls}
-            together = sum(
-                any(a < other_b and other_a < b for other, other_a, other_b in calls if other != pid)
-                for pid, a, b in calls
-            )
-            shares.append((len(calls), len(processes), together / len(calls)))
-    assert shares[0] == (16, 1, 0.0)
-    assert shares[1][:2] == (16, 2) and shares[1][2] > 0.5
-
-
 def test_a_killed_worker_costs_only_its_own_calls(client, tmp_path):
     simulator = on(client, Counted(tmp_path / "calls", seconds=0.05), cache=tmp_path / "cache.sqlite")
     victim = next(iter(client.run(os.getpid).values()))
@@ -104,15 +84,6 @@ def test_a_killed_worker_costs_only_its_own_calls(client, tmp_path):
     assert client.status == "running"  # it is not ours
 
 
-def test_nothing_is_left_on_the_workers(client, tmp_path):
-    simulator = on(client, Counted(tmp_path / "calls"))
-    simulator.responses(np.arange(1.0, 9.0))
-    pids = {pid for pid, _ in simulator.function.calls()}
-    assert pids and all(map(lives, pids))
-    simulator.close()
-    assert not any(map(lives, pids))
-
-
 def test_stopping_kills_what_runs_there(client, tmp_path):
     path = tmp_path / "pids"
     simulator = on(client, functions.Hanging(path))
@@ -126,24 +97,6 @@ def test_stopping_kills_what_runs_there(client, tmp_path):
         simulator.responses(np.arange(1.0, 9.0))
     wait_until(lambda: not any(map(lives, path.read_text().split())))
     assert len(path.read_text().splitlines()) == 2
-
-
-def test_the_function_is_sent_once(client, monkeypatch):
-    """With its data, and not along with each call."""
-    big, sent, submit = np.arange(20_000.0), [], client.submit
-
-    def heavy(k):
-        return beam(k) + big[-1]
-
-    def spy(function, *arguments, **settings):
-        sent.append(sum(len(a) for a in arguments if isinstance(a, bytes)))
-        return submit(function, *arguments, **settings)
-
-    monkeypatch.setattr(client, "submit", spy)
-    with on(client, heavy) as simulator:
-        expected = [beam(x) + big[-1] for x in (1.0, 2.0, 3.0)]
-        np.testing.assert_array_equal(simulator.responses(np.arange(1.0, 4.0)), expected)
-    assert len(sent) == 4 and sent[0] > 8 * 20_000 and sum(sent[1:]) == 0
 
 
 def test_a_client_that_is_closed(client):

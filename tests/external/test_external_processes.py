@@ -4,9 +4,8 @@ import multiprocessing
 import os
 import pickle
 import signal
-import threading
 import time
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pymc as pm
@@ -17,7 +16,6 @@ from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
 from pymc_features.external import EvaluationCache
 from pymc_features.external.evaluator import Lines, clock
 from pymc_features.processes import calls
-from pymc_features.processes.calls import SimulatorProcess
 from support import external_functions as functions
 from support.external_functions import DATA, SECONDS, SHAPE, Counted, Hanging, beam, lives, wait_until
 from support.external_models import BrokenElsewhere, model_of
@@ -85,22 +83,6 @@ class DiesWhenLoaded(BrokenElsewhere):
         return os._exit, (4,)
 
 
-def test_a_process_killed_while_it_starts(simulator, monkeypatch):
-    started = []
-
-    class Unlucky(SimulatorProcess):
-        def receive(self, timeout):
-            if not started:
-                self.process.kill()
-            started.append(self.process.pid)
-            return super().receive(timeout)
-
-    monkeypatch.setattr(calls, "SimulatorProcess", Unlucky)
-    s = simulator()
-    np.testing.assert_array_equal(s.responses(np.ones(1))[0], beam(1.0))
-    assert not lives(started[0]) and s.counts["ok"] == 1
-
-
 def test_posterior_with_failures(tmp_path):
     """10 % raise and 5 % hang, by lot: the rest is the conjugate posterior, and the counts are right."""
     sigma, cache = 8.0, tmp_path / "cache.sqlite"
@@ -148,28 +130,6 @@ def test_any_executor(simulator):
         s.responses(k + 1.0)
 
 
-class Forgetful(Executor):
-    """Loses each call a number of times."""
-
-    def __init__(self, times):
-        self.times, self.lost = times, {}
-        self.pool = ThreadPoolExecutor(1)
-
-    def submit(self, function, digest, arguments, *more):
-        self.lost[arguments] = self.lost.get(arguments, 0) + 1
-        if self.lost[arguments] <= self.times:
-            return self.pool.submit(int, "a machine that is gone")
-        return self.pool.submit(function, digest, arguments, *more)
-
-
-def test_lost_calls_run_again(simulator):
-    k = np.arange(1.0, 4.0)
-    np.testing.assert_array_equal(simulator(executor=Forgetful(5)).responses(k), [beam(x) for x in k])
-    s = simulator(executor=Forgetful(7))
-    assert np.isnan(s.responses(k)).all() and s.counts["died"] == 3
-    assert "lost 6 times, last with ValueError" in s.failures[0].message
-
-
 def test_results_do_not_depend_on_the_number_of_processes(simulator):
     draws = []
     for n in (1, 3):
@@ -194,38 +154,6 @@ def test_processes_are_used_again_and_ended(simulator, tmp_path):
     twin.responses(np.ones(1))
     s.close()
     assert lives(s.function.calls()[-1][0])  # not its own
-
-
-def test_idle_processes_of_others_are_limited(simulator, monkeypatch):
-    calls.end_processes()
-    monkeypatch.setattr(calls, "IDLE_KEPT", 2)
-    simulators = [simulator() for _ in range(4)]
-    for s in simulators:
-        s.responses(np.ones(1))
-    assert sum(map(len, calls._IDLE.values())) == 2 and len(calls._PAYLOADS) == 2
-    simulators[0].responses(np.ones(1))
-
-
-def test_a_process_that_died_while_idle(simulator, tmp_path):
-    s = simulator(Counted(tmp_path / "calls"))
-    s.responses(np.ones(1))
-    [(pid, _)] = s.function.calls()
-    os.kill(pid, signal.SIGKILL)
-    wait_until(lambda: not lives(pid))
-    np.testing.assert_array_equal(s.responses(np.array([2.0]))[0], beam(2.0))
-    assert s.counts["died"] == 0
-
-
-def test_a_dead_process_whose_socket_lives_on(simulator):
-    def leaves_a_child(k):
-        if os.fork() == 0:
-            time.sleep(100)
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    s = simulator(leaves_a_child)
-    start = time.monotonic()
-    assert np.isnan(s.responses(np.ones(1))).all() and s.failures[0].state == "died"
-    assert time.monotonic() - start < SECONDS
 
 
 def run_forked(function, *arguments):
@@ -258,52 +186,6 @@ def test_a_run_that_is_stopped_leaves_no_orphans(way, tmp_path):
     assert process.exitcode not in (None, 0)
     wait_until(lambda: not any(map(lives, pids_in(path))))
     assert len(pids_in(path)) == 4  # nothing was begun after
-
-
-def test_ctrl_c_while_processes_start(tmp_path, simulator, monkeypatch):
-    """A process that is not ready when the run is dropped does not begin to simulate."""
-    begun, goes_on = threading.Event(), threading.Event()
-
-    class Late(SimulatorProcess):
-        def __init__(self, *arguments):
-            super().__init__(*arguments)
-            begun.set()
-            goes_on.wait(SECONDS)
-
-    monkeypatch.setattr(calls, "SimulatorProcess", Late)
-    s = simulator(Hanging(tmp_path / "pids"))
-    monkeypatch.setattr(s.evaluator.lines, "tick", lambda: begun.is_set() and stop())
-
-    def stop():
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        s.responses(np.ones(1))
-    goes_on.set()
-    [thread] = [t for t in threading.enumerate() if t.name.startswith("simulation")][-1:]
-    thread.join(SECONDS)
-    assert not thread.is_alive() and not (tmp_path / "pids").exists()
-
-
-def test_fork_with_processes_of_its_own(simulator, tmp_path):
-    """A forked process starts its own, and the parent's live on; neither reads from the other's socket."""
-    s = simulator(Counted(tmp_path / "calls"), cache=tmp_path / "cache.sqlite")
-    s.responses(np.ones(1))
-    [(ours, _)] = s.function.calls()
-
-    def child():
-        ok = np.array_equal(s.responses(np.array([1.0, 2.0])), [beam(1.0), beam(2.0)])
-        ok &= not any(p.process.pid == ours for kept in calls._IDLE.values() for p in kept)
-        os._exit(0 if ok else 1)
-
-    process = run_forked(child)
-    s.responses(np.array([3.0]))
-    process.join(SECONDS)
-    assert process.exitcode == 0
-    by_parameter = {k: pid for pid, k in s.function.calls()}
-    assert by_parameter[3.0] == ours != by_parameter[2.0] and len(s.function.calls()) == 3
-    np.testing.assert_array_equal(s.responses(np.array([2.0]))[0], beam(2.0))
-    assert s.counts["cached"] == 1
 
 
 @pytest.mark.parametrize("where", [True, "folder"])

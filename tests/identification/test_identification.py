@@ -176,12 +176,6 @@ def test_a_band_of_noise_has_no_mode():
         pmf.propose_bands(noise, highest=4.0)
 
 
-def test_a_mode_at_the_edge_of_its_band():
-    measured = channels([1.0], [0.02], [[1.0, 2.0]], 1000.0, 6, noise=0.05)
-    with pytest.warns(AmbientWarning, match="lies at the edge of its band, 0.99 to 1.5 Hz. Widen it"):
-        pmf.identify_modes(measured, [0.99, 1.5], n_modes=1)
-
-
 def test_a_short_record():
     measured = channels([1.0], [0.01], [[1.0, 2.0]], 60.0, 7, noise=0.05)
     with pytest.warns(AmbientWarning, match="a record of 60 s is short for the mode at .*are better"):
@@ -200,20 +194,6 @@ def test_a_machine_is_no_mode():
         expected = pmf.identify_modes(mode, [1.8, 2.2])
         assert abs(found.frequencies - expected.frequencies) < 0.3 * expected.frequency_sd
         assert abs(found.damping_ratios - expected.damping_ratios) < 0.3 * expected.damping_sd
-
-
-def test_a_machine_that_hardly_shows_is_no_mode_either():
-    """Too low to be taken off: as narrow as a single frequency, and left out unless `n_modes` says so."""
-    measured = channels([2.0], [0.01], [[1.0, 2.0]], 600.0, 8, noise=0.1)
-    measured = measured + 0.03 * np.sin(2.0 * np.pi * 1.0003 * measured["time"])
-    bands = [[0.9, 1.1], [1.8, 2.2]]
-    match = "the mode at 0.9998 Hz is no wider .*a longer record"
-    with pytest.warns(AmbientWarning, match=match + ". It is left out; say by `n_modes` that it is one.$"):
-        assert pmf.identify_modes(measured, bands).frequencies.size == 1
-    noise = 0.1 * np.random.default_rng(1).standard_normal(measured.shape)
-    alone = measured.copy(data=noise + 0.014 * np.sin(2.0 * np.pi * 1.0003 * measured["time"].values))
-    with pytest.warns(AmbientWarning, match="no wider .* take a longer record.$"):
-        assert pmf.identify_modes(alone, bands[0], n_modes=1).frequencies.size == 1
 
 
 def test_what_comes_in_from_beside_is_no_wide_mode():

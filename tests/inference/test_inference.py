@@ -108,15 +108,6 @@ def test_map_is_the_exact_one(kind, example):
     assert found["sigma"] == pytest.approx(sigma, rel=0.02)
 
 
-@pytest.mark.slow
-def test_variational_inference_runs(example):
-    with example.models["NORM"]:
-        approximation = pm.fit(
-            300, method="advi", progressbar=False, random_seed=1, start={"theta": 1.0, "sigma": 0.1}
-        )
-    assert np.isfinite(approximation.hist).all()
-
-
 # --------------------------------------------------------------------------- ten springs
 
 
@@ -377,27 +368,6 @@ def test_laplace_keeps_dims_and_deterministics_and_starts_where_told():
     assert idata["posterior"]["k"].dims == ("chain", "draw", "storey")
     np.testing.assert_allclose(idata["posterior"]["total"], idata["posterior"]["k"].sum("storey"), rtol=1e-12)
     assert idata["modes"]["k"].dims == ("mode", "storey")
-
-
-def test_laplace_of_a_model_with_a_dimension_mode():
-    with pm.Model(coords={"mode": [1, 2, 3]}) as model:
-        zeta = pm.Lognormal("zeta", -4.0, 0.5, dims="mode")
-        pm.Normal("y", pm.math.log(zeta), 0.1, observed=[-4.0, -4.5, -5.0])
-    idata = pmf.laplace(50, model=model, random_seed=1)
-    assert idata["posterior"]["zeta"].dims == ("chain", "draw", "mode")
-    assert idata["modes"]["zeta"].dims == ("posterior_mode", "mode")
-    assert idata["modes"]["weight"].dims == ("posterior_mode",)
-
-
-@pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_laplace_of_a_mode_whose_weight_underflows():
-    with pm.Model() as model:
-        x = pm.Normal("x", 0.0, 10.0)
-        peaks = [height - 12.5 * (x - m) ** 2 for height, m in [(0.0, -6.0), (1000.0, 5.0)]]
-        pm.Potential("peaks", log_add(*peaks))
-    idata = pmf.laplace(200, model=model, random_seed=1)
-    assert idata["modes"]["weight"].values.max() == 1.0
-    assert float(idata["posterior"]["x"].min()) > 0.0
 
 
 def test_laplace_says_where_it_fails():

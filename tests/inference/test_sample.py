@@ -13,7 +13,6 @@ from scipy import stats
 import pymc_features as pmf
 from pymc_features.exceptions import NoSpreadError
 from pymc_features.inference import beside
-from pymc_features.inference import sample as function_of_package
 from pymc_features.smc.density.evaluation import PopulationLogp
 from support.sampling import log_add
 
@@ -245,10 +244,6 @@ def test_a_killed_run_goes_on_to_the_same_draws(tmp_path, monkeypatch):
     for idata in (plain, continued):
         xr.testing.assert_equal(idata["posterior"].to_dataset(), whole["posterior"].to_dataset())
         xr.testing.assert_equal(idata["modes"].to_dataset(), whole["modes"].to_dataset())
-
-
-def test_sample_is_public():
-    assert pmf.sample is function_of_package
 
 
 # --------------------------------------------------------------------------- beside Gaussians at the modes

@@ -139,26 +139,6 @@ def test_tolerance_may_be_data(pulse, measured, rho):
     assert logp(1.2) == -np.inf
 
 
-def test_data_may_be_data(pulse, measured, rho):
-    with pm.Model() as model:
-        data = pm.Data("measured", measured)
-        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
-        DiscrepancySimulator("y", mu, epsilon=1.0, observed=data, kernel="exponential")
-    logp = log_likelihood(model)
-    assert logp(0.8) == pytest.approx(-rho(0.8), rel=1e-10)
-    with model:
-        pm.set_data({"measured": measured + 1.0})
-    shifted = np.square(simulate(with_first_spring(0.8), pulse).values - measured - 1.0).mean(axis=1).sum()
-    assert logp(0.8) == pytest.approx(-shifted, rel=1e-10)
-
-
-def test_response_may_be_recorded(pulse, measured, rho):
-    with pm.Model() as model:
-        mu = pm.Deterministic("mu", response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse))
-        DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, kernel="exponential")
-    assert log_likelihood(model)(0.8) == pytest.approx(-rho(0.8), rel=1e-10)
-
-
 def test_all_random_parameters_of_a_structure_reach_the_simulator(pulse, measured):
     """Mass, stiffness, Rayleigh pair and ratios; output step, sensors, modes and quantity as asked."""
     asked = {"dt": 0.04, "sensors": [2, 0], "n_modes": 2, "quantity": "relative_velocity"}
@@ -413,26 +393,6 @@ def test_sensors_have_noise_of_their_own(pulse, measured):
     assert abs(total.var() - common) > 4.5 * error, "as one draw for all sensors would have"
 
 
-@pytest.mark.parametrize("noise", [0.2, [0.2, 0.2, 0.2], "random"])
-def test_noise_may_be_a_number_or_random(pulse, measured, noise):
-    """The same law; a random one follows its own parameter."""
-    with pm.Model() as model:
-        theta = pm.Uniform("theta", *PRIOR)
-        scale = pm.HalfNormal("scale") if noise == "random" else noise
-        mu = response(with_first_spring(theta), pulse)
-        DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, kernel="exponential", noise=scale)
-    logp = population(model).with_rng(np.random.default_rng(1))
-    particles = np.full((4000, 1), np.log(0.7 / 0.3))
-    if noise == "random":
-        particles = np.column_stack([particles, np.full(4000, np.log(0.2))])
-    expected = by_histories(pulse, measured, np.full(3, 0.2)).sum(axis=1, keepdims=True)
-    found = -logp(particles)[1][:, None]
-    assert same_law(found, expected)
-    if noise == "random":
-        particles[:, 1] = np.log(0.25)
-        assert not same_law(-logp(particles)[1][:, None], expected)
-
-
 def test_noise_is_drawn_anew(pulse, measured):
     """For each particle of a call, for each call, and for each generator."""
     logp = population(noisy_model(pulse, measured))
@@ -452,16 +412,6 @@ def test_without_noise_the_node_is_exact(pulse, measured, rho):
     theta = np.array([0.6, 0.9, 1.3])
     logit = np.log((theta - PRIOR[0]) / (PRIOR[1] - theta))
     np.testing.assert_allclose(-logp(logit[:, None])[1], [rho(t) for t in theta], rtol=1e-10)
-
-
-def test_a_negative_random_noise_does_not_stop_a_run(pulse, measured):
-    """NumPy refuses a negative scale; the law is that of its absolute value."""
-    with pm.Model() as model:
-        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
-        noise = pm.Normal("noise", 0.0, 0.1)
-        DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, kernel="exponential", noise=noise)
-    values = [population(model)(np.tile([0.0, n], (500, 1)))[1] for n in (-0.2, 0.2)]
-    assert stats.ks_2samp(*values).pvalue > 1e-3
 
 
 def test_predictive_histories_contain_the_noise(pulse, measured):
@@ -517,48 +467,6 @@ def test_noise_of_a_summary(noise, takes_batches):
 # --------------------------------------------------------------------------- summaries, one tolerance each
 
 
-def test_summary_counts_each_entry_once():
-    data = np.array([1.0, 2.5, 2.0])
-    with pm.Model() as model:
-        theta = pm.Uniform("theta", *PRIOR)
-        DiscrepancySimulator(
-            "y",
-            lambda k: np.sqrt(k) * np.arange(1, 4),
-            theta,
-            epsilon=0.5,
-            observed=data,
-            kernel="exponential",
-        )
-    exact = np.square(np.sqrt(1.2) * np.array([1, 2, 3]) - data).sum()
-    assert log_likelihood(model)(1.2) == pytest.approx(-exact / 0.5 - 3 * np.log(0.5), rel=1e-12)
-
-
-def test_kernels_are_in_double_precision(pulse, measured):
-    """A literal of Python would make a weighted population sum to one in single precision only."""
-    for kernel in KERNELS:
-        model = build_model(pulse, measured, epsilon=1.0, kernel=kernel)
-        assert (
-            model.compile_logp(vars=model.observed_RVs, mode=LIGHT)(model.initial_point()).dtype == "float64"
-        )
-
-
-def test_the_time_axis_is_named_as_by_the_likelihoods(pulse, measured):
-    with pm.Model(coords={"sensor": ["a", "b", "c"]}) as model:
-        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
-        DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, dims=("sensor", "time"))
-    np.testing.assert_allclose(model.coords["time"], pulse.time)
-
-
-def test_a_function_that_always_fails_is_named_in_the_default_mode():
-    with pm.Model() as model:
-        x = pm.Normal("x")
-        DiscrepancySimulator("y", lambda x: np.array([1.0 / 0]), x, epsilon=0.5, observed=np.zeros(1))
-    with pytest.warns(UserWarning, match="the simulator failed: ZeroDivisionError"):
-        kernel = SubsetSimulation(300, model=model, random_seed=1)
-    with pytest.raises(ValueError, match="failed simulations, the last with ZeroDivisionError"):
-        kernel.initialize(None, np.random.default_rng(0))
-
-
 def test_a_random_tolerance_is_refused(pulse, measured):
     with pm.Model():
         mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
@@ -569,19 +477,3 @@ def test_a_random_tolerance_is_refused(pulse, measured):
         pm.Simulator("y", lambda rng, x, size: x, x, epsilon=epsilon, observed=[0.0])
     with pytest.raises(TypeError, match="`epsilon` of y must be a number.* depends on random variables"):
         SubsetSimulation(300, model=model)
-
-
-def test_a_solver_may_use_its_array_again():
-    """Each result counts, not the last one many times."""
-    work = np.zeros(2)
-
-    def solver(x):
-        work[:] = x
-        return work
-
-    with pm.Model() as model:
-        x = pm.Normal("x", shape=2)
-        DiscrepancySimulator("y", solver, x, epsilon=0.5, observed=np.zeros(2))
-    kernel = SubsetSimulation(300, model=model, random_seed=1)
-    particles = np.array([[0.1, 0.2], [3.0, 1.0], [0.0, 0.5]])
-    np.testing.assert_allclose(-kernel.logp(particles)[1], (particles**2).sum(axis=1))

@@ -45,13 +45,6 @@ def test_assignment_against_scipy(seed):
     assert found == pytest.approx(np.maximum(score, -1e6)[at].sum(), rel=1e-12, abs=1e-12)
 
 
-def test_assignment_of_what_is_no_number_is_still_one():
-    chosen = Assignment()(np.full((2, 3), np.nan)).eval(mode=PLAIN)
-    np.testing.assert_array_equal(chosen.sum(axis=1), 1.0)
-    with pytest.raises(ValueError, match="as many columns as rows, got 2 for 3"):
-        Assignment()(np.zeros((3, 2))).eval(mode=PLAIN)
-
-
 # --------------------------------------------------------------------------- 1 - MAC
 
 
@@ -147,16 +140,6 @@ def test_density_against_scipy_and_all_assignments(seed, kind, density, m):
     logp = log_likelihoods(found, data, sigma_f=0.05, sigma_phi=0.3, density=density).eval(mode=PLAIN)
     expected = direct(found, data, 0.05, 0.3, m)
     np.testing.assert_allclose(logp, expected, rtol=1e-10)
-
-
-def test_several_identifications_of_a_mode_take_the_same_mode():
-    """As six different modes they are explained worse; the density is that of test_shared_error.py."""
-    found, data = random_data(7, missing=False)
-    data = {k: np.concatenate([v, v[:2] * 1.03]) for k, v in data.items()}
-    scales = dict(sigma_f=0.05, sigma_phi=0.3)
-    alone = log_likelihoods(found, data, **scales).eval(mode=PLAIN)
-    logp = log_likelihoods(found, data, labels=["a", "b", "c", "d", "a", "b"], **scales).eval(mode=PLAIN)
-    assert logp.shape == (4,) and alone.sum() < logp.sum() - 1.0
 
 
 def test_frequencies_alone_and_exact_standard_deviations():
@@ -438,9 +421,3 @@ def test_refusals():
             ModalFeature("y", found, **(good | change))
     with pytest.raises(ValueError, match="`modes` must be frequencies"), pm.Model():
         ModalFeature("y", (np.ones((2, 2)), np.ones((2, 2))), **good)
-
-
-def test_identifications_are_named_by_their_modes():
-    data = identified([1.0, 1.1, 2.0, 3.0], labels=["b", "b", "a", "c"])
-    assert data.of == ["b.0", "b.1", "a", "c"] and list(data.labels) == ["b", "a", "c"]
-    assert identified([1.0, 2.0]).of == ["0", "1"]

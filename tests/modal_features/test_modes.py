@@ -65,17 +65,6 @@ def test_frequencies_of_a_uniform_chain_are_in_closed_form():
     np.testing.assert_allclose(found.damping_ratios.eval({k: 300.0}), 0.01, rtol=1e-14)
 
 
-def test_combinations_of_degrees_of_freedom():
-    drifts = np.eye(3) - np.eye(3, k=-1)
-    for name in CASES:
-        structure = CASES[name][0](TRUTH)
-        plain, combined = modes(structure, 2), modes(structure, 2, outputs=drifts[1:])
-        expected = plain.shapes.eval(mode=PLAIN) @ drifts[1:].T
-        np.testing.assert_allclose(
-            combined.shapes.eval(mode=PLAIN), expected, rtol=0, atol=1e-13, err_msg=name
-        )
-
-
 def test_a_nonlinear_chain_has_the_modes_of_small_motions():
     stiffness = pt.vector("stiffness", shape=(3,))
     cubic = pt.vector("cubic", shape=(3,))
@@ -275,19 +264,6 @@ def test_a_population_is_one_call_and_as_one_by_one(name):
         np.testing.assert_allclose(values[i], a, rtol=1e-13)
         np.testing.assert_allclose(slopes[i], b, rtol=1e-11, atol=1e-12)
     assert np.isnan(values[2]).all() and np.isfinite(np.delete(values, 2, axis=0)).all()
-
-
-def test_batches_of_several_dimensions():
-    k, many = pt.vector("k", shape=(3,)), pt.tensor3("many", shape=(None, None, 3))
-    found = modes(SpringMassChain(np.ones(3), k, ModalDamping(0.01)), 2, sensors=[1])
-    batch = vectorize_graph(list(found), {k: many})
-    values = np.random.default_rng(2).uniform(50.0, 150.0, (2, 4, 3))
-    results = pytensor.function([many], batch, mode=PLAIN)(values)
-    one = pytensor.function([k], list(found), mode=PLAIN)
-    assert [r.shape for r in results] == [(2, 4, 2), (2, 4, 2, 1), (2, 4, 2)]
-    for i in np.ndindex(2, 4):
-        for a, b in zip(results, one(values[i]), strict=True):
-            np.testing.assert_array_equal(a[i], b)
 
 
 @pytest.mark.slow

@@ -266,16 +266,6 @@ def test_scatter_is_pooled_over_modes_where_none_was_identified():
     np.testing.assert_allclose(same, LEAST)
 
 
-def test_one_scale_for_each_mode():
-    data = measured()
-    logp = log_likelihoods(data, sigma_f=[0.02, 0.02, 0.02], sigma_phi=[0.1] * 3)
-    np.testing.assert_allclose(logp.eval(mode=PLAIN), log_likelihoods(data).eval(mode=PLAIN), rtol=1e-12)
-    with pytest.raises(
-        ValueError, match="`sigma_f` must be one value or one for each of the 3 modes, got .6,"
-    ):
-        log_likelihoods(data, sigma_f=[0.02] * 6)
-
-
 def test_a_mode_that_was_found_twice_has_one_partner():
     """Without labels; else the double would take the next mode of the model."""
     shapes = np.random.default_rng(4).normal(size=(2, 4))

@@ -212,20 +212,6 @@ def test_every_kernel_goes_on(kernel, tmp_path):
 
 
 @pytest.mark.processes
-def test_chains_in_parallel(tmp_path):
-    """The same journals as those of chains one after the other, and the same particles."""
-    model = model_of(InProcess())
-    expected, _ = sample(model, checkpoint=tmp_path / "serial")
-    draws, _ = sample(model, checkpoint=tmp_path / "parallel", cores=2, mp_ctx="fork")
-    np.testing.assert_array_equal(draws, expected)
-    serial, parallel = (
-        {path.name: path.read_bytes() for path in (tmp_path / way).glob("*.journal")}
-        for way in ("serial", "parallel")
-    )
-    assert len(serial) == 2 and serial == parallel
-
-
-@pytest.mark.processes
 def test_a_dead_chain_process_is_named(tmp_path):
     main = os.getpid()
 
@@ -239,27 +225,6 @@ def test_a_dead_chain_process_is_named(tmp_path):
 
 
 # --- what is remembered
-
-
-def test_the_seed_is_remembered(tmp_path):
-    model = model_of(InProcess())
-    first, _ = sample(model, random_seed=None, checkpoint=tmp_path, chains=2)
-    again, _ = sample(model, random_seed=None, checkpoint=tmp_path, chains=None)
-    np.testing.assert_array_equal(first, again)
-    known = json.loads((tmp_path / "seed.json").read_text())
-    explicit, _ = sample(model, random_seed=known["random_seed"][0], chains=2)
-    np.testing.assert_array_equal(first, explicit)
-
-
-def test_seeds_of_all_kinds(tmp_path):
-    model = model_of(InProcess())
-    expected, _ = sample(model, random_seed=[3, 4])
-    for seeds in ([3, 4], np.array([3, 4]), (3, np.int64(4))):
-        draws, _ = sample(model, random_seed=seeds, checkpoint=tmp_path)
-        np.testing.assert_array_equal(draws, expected)
-    with pytest.raises(TypeError, match="`random_seed` must be integers with `checkpoint`"):
-        sample(model, random_seed=np.random.default_rng(1), checkpoint=tmp_path / "other")
-    assert not (tmp_path / "other").exists()
 
 
 # --- what is refused
@@ -336,19 +301,6 @@ def test_new_data_in_a_model_are_refused(tmp_path):
         sample(model, PopulationIMH, checkpoint=tmp_path)
 
 
-class Thrice(InProcess):
-    """Another function."""
-
-    def __call__(self, x):
-        return 1.5 * super().__call__(x)
-
-
-def test_another_function_is_refused(finished):
-    _, folder, _ = finished
-    with pytest.raises(CheckpointError, match="of one with other: model"):
-        sample(model_of(Thrice()), checkpoint=folder, chains=1)
-
-
 def test_another_external_simulator_is_refused(tmp_path):
     """What it does is part of the model."""
 
@@ -368,24 +320,6 @@ def test_another_external_simulator_is_refused(tmp_path):
 
 
 HEAD = len(MAGIC)
-PLACES = {
-    "must hold journals of a sampler": 3,
-    "particles of .* parameters for": HEAD + 2,  # number of rows
-    "it is damaged, or of another run": HEAD + 8,  # number of columns
-    "got a wrong sum": HEAD + 17,  # the sum itself
-    "must be intact, got a wrong sum in": HEAD + 20 + 100,
-}
-
-
-@pytest.mark.parametrize("message", PLACES)
-def test_a_flipped_bit_is_noticed(message, copied):
-    model, folder, journal, _ = copied
-    content = bytearray(journal.read_bytes())
-    content[PLACES[message]] ^= 4
-    journal.write_bytes(content)
-    with pytest.raises(CheckpointError, match=f"{message}.*Choose another folder, or remove this one"):
-        sample(model, checkpoint=folder, chains=1)
-    assert journal.read_bytes() == content  # left as it is
 
 
 def test_any_flipped_byte_is_noticed_or_harmless(copied):
@@ -430,14 +364,6 @@ def test_a_tail_that_is_missing_is_computed_again(cut, copied):
     draws, _ = sample(model, checkpoint=folder, chains=1)
     np.testing.assert_array_equal(draws, expected)
     assert journal.read_bytes() == whole
-
-
-def test_garbage_at_the_end(copied):
-    model, folder, journal, _ = copied
-    whole = journal.read_bytes()
-    journal.write_bytes(whole[:-300] + os.urandom(4000))
-    with pytest.raises(CheckpointError, match="damaged, or of another run|got a wrong sum"):
-        sample(model, checkpoint=folder, chains=1)
 
 
 def test_other_particles(copied):
@@ -501,17 +427,3 @@ def test_models_and_kernels_that_cannot_go_on(tmp_path):
         sample(model, checkpoint=tmp_path)
     with pytest.raises(TypeError, match="`checkpoint` must be left out for MH, which has none"):
         sample(model, pm.smc.MH, checkpoint=tmp_path)
-
-
-@pytest.mark.processes
-def test_an_error_in_a_parallel_chain_comes_as_it_is(copied):
-    model, folder, journal, _ = copied
-    for path in folder.iterdir():
-        path.unlink()
-    sample(model, checkpoint=folder)
-    for journal in folder.glob("*.journal"):
-        content = bytearray(journal.read_bytes())
-        content[-100] ^= 1
-        journal.write_bytes(content)
-    with pytest.raises(CheckpointError, match="got a wrong sum"):
-        sample(model, checkpoint=folder, cores=2, mp_ctx="fork")

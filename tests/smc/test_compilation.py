@@ -60,30 +60,6 @@ def test_what_the_user_asks_for_comes_first():
         assert with_mode({}, []) == {}
 
 
-def test_both_give_the_same():
-    values = []
-    for kwargs in ({}, {"mode": "NUMBA"}):
-        model = declare()
-        logp = population_logp(model, model.initial_point(), kwargs)
-        values.append(logp(np.array([[-1.0, 0.2], [0.3, -1.0], [2.0, 0.0]]))[:2])
-    np.testing.assert_allclose(values[0], values[1], rtol=1e-12)
-
-
-@pytest.mark.slow
-def test_many_storeys_that_share_a_variable():
-    """The slope by what 70 storeys share is a sum of 70, more than NumPy takes in one call."""
-    with pm.Model() as model:
-        theta = pm.Uniform("theta", 0.5, 1.5)
-        springs = [400.0 * theta**i for i in np.linspace(0.5, 2.0, 70)]
-        chain = SpringMassChain(1.0, springs, ModalDamping(0.02))
-        ExpFeature("y", response(chain, RECORD, sensors=[0]), 1.0, observed=np.ones((1, 101)))
-    logp = population_logp(model, model.initial_point(), {})
-    above, below = (logp(np.array([[value]]))[1] for value in (0.2 + 1e-5, 0.2 - 1e-5))
-    *_, slope = logp.gradient(np.array([[0.2]]))
-    np.testing.assert_allclose(slope[0], (above - below) / 2e-5, rtol=1e-5)
-    assert abs(slope[0, 0]) > 1e-3
-
-
 @pytest.mark.parametrize(
     ("loops", "declared"),
     [

@@ -14,7 +14,6 @@ from support.mutations import mutated
 from support.sampling import QUIET
 
 MUTATIONS = 40  # of each file
-SEEDS = 300  # of the file with the seed
 OTHER_JSON = [
     "",
     "[]",
@@ -88,21 +87,6 @@ def test_damaged_files(finished, tmp_path, kind):
     assert refused > MUTATIONS // 2
 
 
-def test_no_damage_to_the_seed_is_taken_for_another(finished, tmp_path):
-    """By hand as well: another number of chains would go on, and not be this run."""
-    raw, rng = finished[1]["seed.json"], np.random.default_rng(9)
-    path, refused = tmp_path / "seed.json", 0
-    for _ in range(SEEDS):
-        path.write_bytes(mutated(raw, rng)[0])
-        try:
-            assert remembered(tmp_path, None, None, 4) == (5, 1)
-        except CheckpointError as error:
-            assert "`checkpoint` must be intact, got" in str(error)
-            assert "seed.json" in str(error)
-            refused += 1
-    assert refused > SEEDS // 2
-
-
 @pytest.mark.parametrize("text", OTHER_JSON)
 @pytest.mark.parametrize("name", ["seed.json", "run.json"])
 def test_json_of_another_kind(tmp_path, name, text):
@@ -145,15 +129,3 @@ def test_the_search_for_modes_of_another_model_is_refused(tmp_path):
         CheckpointError, match="got a wrong sum in .*modes.record: it is damaged, or of another"
     ):
         particles(model_of(0.9), folder, sample)
-
-
-def test_a_folder_in_the_place_of_a_file(finished, tmp_path):
-    model, files, _ = finished
-    for name in files:
-        folder = written({k: raw for k, raw in files.items() if k != name}, tmp_path / name)
-        (folder / name).mkdir()
-        with pytest.raises(CheckpointError, match=f"`checkpoint` must .*got .*{name}"):
-            particles(model, folder)
-    (tmp_path / "file").touch()
-    with pytest.raises(CheckpointError, match="`checkpoint` must .*got .*file"):
-        particles(model, tmp_path / "file")

@@ -75,12 +75,6 @@ def named(target):
     return type(target).__name__
 
 
-@pytest.mark.parametrize("target", TARGETS, ids=named)
-def test_gradients_of_the_targets(target):
-    x = target.draw(3, np.random.default_rng(0))
-    assert_gradient(target.logp, target.gradient, x)
-
-
 def assert_gradient(log_density, gradient, x):
     """Against differences of the log-density at points (n, d)."""
     for direction, column in zip(np.eye(x.shape[1]), gradient(x).T, strict=True):
@@ -228,24 +222,6 @@ def test_trajectories_go_back():
     assert np.abs(there.x - x).max() > 0.5
 
 
-def test_trajectories_that_leave_the_support_are_given_up():
-    """Their proposals have probability zero, and cost no more gradients."""
-    hamiltonian, rng = Hamiltonian(), np.random.default_rng(4)
-    hamiltonian.fit(rng.standard_normal((100, 2)))
-    hamiltonian.step, hamiltonian.length = 0.1, 1.5
-
-    def all_of(x):
-        log_density = np.where(x[:, 0] > 0, -0.5 * (x**2).sum(axis=1), -np.inf)
-        return np.zeros(len(x)), log_density, log_density, -x
-
-    x = np.abs(rng.standard_normal((400, 2)))
-    end = hamiltonian.propose(x, -x, all_of(x)[2], all_of, rng)
-    given_up = np.isneginf(end.log_moves)
-    assert 0.1 < given_up.mean() < 1.0
-    assert (end.x[given_up] == x[given_up]).all() and (end.x[:, 0] > 0).all()
-    assert end.gradients < 0.9 * 400 * round(end.time / 0.1)
-
-
 # --------------------------------------------------------------------------- in the kernel
 
 
@@ -318,36 +294,6 @@ def test_a_checkpoint_gives_the_same_particles(tmp_path, monkeypatch):
     for _ in range(2):
         found = sample_smc(150, checkpoint=tmp_path, **settings).posterior["x"].values
         assert (found == expected).all()
-
-
-def test_where_other_moves_do_well_nothing_changes():
-    """Not one gradient is evaluated, and the draws are those of a run that may use none."""
-    with pm.Model() as model:
-        x = pm.Normal("x", shape=4)
-        pm.Normal("y", x, 0.3, observed=np.ones(4))
-    without, allowed = (run_chain(PersistentSMC, model, 200, 1, gradients=g) for g in (False, True))
-    assert (without.draws == allowed.draws).all()
-    assert [s["gradients"] for s in allowed.stages] == [0] * len(allowed.stages)
-    assert [s["hamiltonian_share"] for s in allowed.stages] == [0.0] * len(allowed.stages)
-
-
-def test_a_trial_is_cheap_and_given_up(monkeypatch):
-    """Where trajectories turn out dearer than what they replace, each stage spends one trial at most."""
-    tried = []
-
-    def follow(self, rows, _follow=Chains.follow):
-        tried.append(len(rows))
-        return _follow(self, rows)
-
-    monkeypatch.setattr(Chains, "follow", follow)
-    monkeypatch.setattr(arms, "BEST_OF_GRADIENTS", 100.0)  # a vain hope
-    monkeypatch.setattr(arms, "FORGETTING", 1e9)
-    monkeypatch.setattr(chains_module, "FORGOTTEN", -1.0)  # never
-    monkeypatch.setattr(chains_module, "MAX_BURN_IN", 20)
-    run = run_chain(PersistentSMC, ring(), 400, 2, gradients=True)
-    assert 1 < len(tried) <= len(run.stages) + chains_module.FIRST_TRIALS - 1
-    assert max(tried) <= 20, "of 40 chains"
-    assert [s["hamiltonian_share"] for s in run.stages] == [0.0] * len(run.stages)
 
 
 def linear(x):

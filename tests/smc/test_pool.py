@@ -7,8 +7,8 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from pymc_features.smc.proposals import pool as pool_module
-from pymc_features.smc.proposals.mixture import equal_draws, next_beta, pareto_k, pareto_smoothed, pareto_tail
-from pymc_features.smc.proposals.pool import LARGEST_SHARE, QUANTILES, Pool
+from pymc_features.smc.proposals.mixture import equal_draws, next_beta
+from pymc_features.smc.proposals.pool import QUANTILES, Pool
 
 
 class Normal:
@@ -86,32 +86,6 @@ def test_bennett_is_the_fixed_point():
     assert np.abs(log_z - before).max() > 0.1, "the first guess was another"
 
 
-def test_independent_draws_alone():
-    """The part of known densities: a mixture of two, with the impossible draws of both."""
-    pool = pool_of(np.random.default_rng(2))
-    part = pool.independent(pool.known())
-    rows = np.isin(pool.source, (0, 3))
-    np.testing.assert_array_equal(part.particles, pool.particles[rows])
-    np.testing.assert_allclose(part.counts, [200.0, 100.0])
-    mixture = logsumexp(brute_force(pool)[[0, 3]][:, rows], axis=0, b=np.array([[200.0], [100.0]]) / 300.0)
-    np.testing.assert_allclose(part.log_weights(1.0), log_likelihood(part.particles) - mixture)
-
-
-def test_draws_that_shaped_the_last_fit_are_left_out():
-    """Those of the reference before it, possible or not; those after it count, in a part as well."""
-    pool = pool_of(np.random.default_rng(2))
-    x = np.linspace(-1.0, 1.0, 50)[:, None] * np.ones(2)
-    pool.add_draws(x, log_prior(x), np.where(x[:, 0] < 0.0, -np.inf, -1.0))
-    for whole in (pool, pool.independent(pool.known())):
-        part = whole.unseen()
-        rows = (whole.source > 0) | (np.arange(len(whole.mass)) >= len(whole.mass) - 25)
-        np.testing.assert_array_equal(part.particles, whole.particles[rows])
-        np.testing.assert_allclose(part.counts, [50.0, *whole.counts[1:]])
-        assert part.unseen().particles.shape == part.particles.shape
-    only_reference = importance_sample(np.random.default_rng(2))
-    assert only_reference.unseen() is only_reference
-
-
 def fitted_pool(rng, d=4, n=80):
     """Draws of a reference twice as wide as a standard normal target, and of a normal fit to them."""
     x = rng.normal(0.0, 2.0, size=(n, d))
@@ -154,18 +128,6 @@ def test_next_beta_keeps_the_effective_number():
     assert next_beta(flat, 0.0, 150.0) == 1.0
 
 
-def test_points_that_do_not_count_may_have_any_weight():
-    """Where a chain was when its states began to be kept, and was not again: its weight may overflow."""
-    pool = Pool(np.linspace(-1.0, 1.0, 400)[:, None], np.zeros(400), -np.linspace(0.0, 40.0, 400))
-    pool.add_density(0.2, -2.0)
-    before = [pool.log_evidence(pool.log_weights(1.0)), next_beta(pool, 0.2, 60.0)]
-    pool.add(np.zeros((1, 1)), np.zeros(1), np.full(1, 5e3), np.zeros(1), np.zeros(1, dtype=int), 1)
-    log_weights = pool.log_weights(1.0)
-    assert [pool.log_evidence(log_weights), next_beta(pool, 0.2, 60.0)] == pytest.approx(before, rel=1e-3)
-    assert pool.normalised(log_weights)[-1] == 0.0
-    assert np.isfinite(pool.effective_of_quantiles(log_weights)).all()
-
-
 def importance_sample(rng, n=2000, width=2.0):
     """Draws wider than a standard normal target, as a pool whose reference is the proposal."""
     x = rng.normal(0.0, width, size=(n, 1))
@@ -198,18 +160,6 @@ def test_standard_error_of_the_evidence():
     assert np.mean([pool.jackknife() for pool in pools]) == pytest.approx(spread, rel=0.21)
 
 
-def test_share_of_the_heaviest_draw():
-    """Of a proposal without the target's tails one draw is heavy; a wide one has none."""
-    shares = []
-    for width in (2.0, 0.6):
-        pool = importance_sample(np.random.default_rng(3), width=width)
-        x = pool.particles[:, 0]
-        weights = stats.norm.pdf(x) / stats.norm(0.0, width).pdf(x)
-        assert pool.largest_share() == pytest.approx(weights.max() / weights.sum())
-        shares.append(pool.largest_share())
-    assert shares[0] < LARGEST_SHARE < shares[1]
-
-
 @pytest.mark.parametrize("width", [2.0, 0.6])
 def test_pareto_smoothing_is_arvizs(width):
     """Of weights that are fine, and of those of a proposal too narrow, whose variance is infinite."""
@@ -221,24 +171,6 @@ def test_pareto_smoothing_is_arvizs(width):
     smoothed = pool.posterior_log_weights()
     np.testing.assert_allclose(smoothed - logsumexp(smoothed), expected - logsumexp(expected), atol=0.02)
     assert (np.abs(smoothed - log_weights).max() > 0.1) == (width < 1.0)
-
-
-def test_weights_that_are_not_smoothed():
-    """Equal ones, too few, and those of points that Markov chains have been at."""
-    assert pareto_k(np.zeros(50)) == 0.0 and (pareto_smoothed(np.zeros(50)) == 0.0).all()
-    few = np.arange(20.0)
-    assert pareto_k(few) == np.inf and (pareto_smoothed(few) == few).all()
-    no_mean = 10.0 * np.arange(1000.0)
-    few_larger = np.append(np.zeros(1000), np.arange(5.0))
-    zero, nearly_zero = np.full(100, -np.inf), np.full(1000, -np.inf)
-    nearly_zero[:8] = np.arange(8.0)
-    for weights in (no_mean, zero, nearly_zero, few_larger):
-        changed = pareto_smoothed(weights)
-        assert ((changed > -np.inf) == (weights > -np.inf)).all()
-        assert abs(logsumexp(changed) - logsumexp(weights)) < 0.1 if weights is not zero else True
-    assert pareto_k(zero) == np.inf
-    chains = pool_of(np.random.default_rng(0))
-    np.testing.assert_array_equal(chains.posterior_log_weights(), chains.log_weights(1.0))
 
 
 @pytest.mark.statistical
@@ -270,9 +202,3 @@ def test_equal_draws_are_systematic():
     chosen = equal_draws(weights, 1000, np.random.default_rng(1))
     assert np.abs(np.bincount(chosen, minlength=50) - 1000 * weights).max() < 1.0
     assert abs(stats.spearmanr(np.arange(1000), chosen).statistic) < 0.15
-
-
-def test_a_tail_of_hundreds_of_orders_raises_no_warning():
-    with np.errstate(over="raise", invalid="raise", divide="raise"):
-        shape, scale = pareto_tail(np.exp(np.linspace(-690.0, 0.0, 4000)))
-    assert shape > 1.0 and scale > 0.0

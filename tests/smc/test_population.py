@@ -1,17 +1,14 @@
 """Population kernels and their evaluation, against PyMC's own that take one particle at a time."""
 
-import gc
 import multiprocessing
 import resource
 import sys
-import weakref
 
 import numpy as np
 import pymc as pm
 import pytensor
 import pytensor.tensor as pt
 import pytest
-from pymc.distributions.dist_math import check_parameters
 from pymc.logprob.utils import ParameterValueError
 from pymc.smc.kernels import IMH, MH
 from pytensor.graph.basic import Apply
@@ -19,7 +16,6 @@ from pytensor.graph.op import Op
 from scipy import stats
 
 from pymc_features import (
-    DiscrepancySimulator,
     ModalDamping,
     PersistentSMC,
     PopulationIMH,
@@ -181,23 +177,6 @@ def test_a_changed_model_is_compiled_anew(what):
     assert_same(sample(model, IMH), sample(model, PopulationIMH), rtol=1e-12, atol=1e-12)
 
 
-def test_an_evaluation_dies_with_its_model():
-    model = gaussian()
-    logp = weakref.ref(PopulationIMH(60, model=model).logp)
-    assert logp() is not None
-    del model
-    gc.collect()
-    assert logp() is None
-
-
-def test_settings_of_compilation_may_be_shared_with_pymcs_kernels():
-    """PyMC's kernels write into the dictionary they are given."""
-    settings = {"mode": "FAST_COMPILE"}
-    model = gaussian()
-    IMH(20, model=model, compile_kwargs=settings)
-    PopulationIMH(20, model=model, compile_kwargs=settings)
-
-
 # --------------------------------------------------------------------------- chains in parallel
 
 
@@ -285,16 +264,6 @@ def test_particles_outside_the_support_are_alone():
     assert not failed[(x < 0) | (x > 1)].any(), "what the prior excludes is no failure"
 
 
-def test_nan_is_alone_and_a_failure():
-    with pm.Model() as model:
-        x = pm.Normal("x")
-        pm.Potential("root", pt.sqrt(x))
-    particles = prior_particles(model)
-    possible, failed = compare(model, particles)
-    np.testing.assert_array_equal(possible, particles[:, 0] >= 0)
-    np.testing.assert_array_equal(failed, particles[:, 0] < 0)
-
-
 class Moody(Op):
     """Identity that raises a numerical error for negative numbers."""
 
@@ -339,14 +308,6 @@ def test_numerical_errors_are_alone_and_failures(error, mode):
     np.testing.assert_allclose(prior[good], stats.norm.logpdf(particles[good, 0]), rtol=1e-12)
 
 
-def test_other_errors_are_not_swallowed():
-    with pm.Model() as model:
-        pm.Potential("solver", Moody(KeyError)(pm.Normal("x")))
-    logp = population_logp(model, model.initial_point(), {})
-    with pytest.raises(KeyError):
-        logp(-np.ones((4, 1)))
-
-
 def test_failed_simulations_are_counted():
     """Springs that a draw makes negative; in the statistics of a run, too."""
     with pm.Model() as model:
@@ -360,17 +321,6 @@ def test_failed_simulations_are_counted():
         idata = sample(model, kernel)
         assert np.ravel(idata.sample_stats["failed"])[0] > 10, kernel
         assert (idata.posterior["theta"] > 0).all()
-
-
-def test_outside_the_tolerance_is_no_failure():
-    """What does not fit is not what cannot be simulated."""
-    with pm.Model() as model:
-        theta = pm.Normal("theta")
-        DiscrepancySimulator("y", response(chain(theta), PULSE), epsilon=1.0, observed=measured())
-    particles = np.array([[-1.0], [1.0], [0.5], [0.0], [2.0]])
-    possible, failed = compare(model, particles)
-    np.testing.assert_array_equal(possible, [False, True, False, False, False])
-    np.testing.assert_array_equal(failed, [True, False, False, True, False])
 
 
 @pytest.mark.all_rewrites  # which take the checks away
@@ -503,27 +453,3 @@ def test_other_normals_are_left_alone(mean, sigma):
     exact = stats.norm.logpdf(measured(), mean(simulate(chain(1.1), PULSE).values), sigma()).sum()
     assert float(model.compile_fn(model.datalogp)({"theta": 1.1})) == pytest.approx(exact, rel=1e-10)
     compare(model, prior_particles(model, spread=0.1))
-
-
-def almost_normal(value, mu, sigma):
-    """The density of a normal distribution as PyMC writes it, with another constant."""
-    logp = -0.5 * pt.pow((value - mu) / sigma, 2) - 0.5 * np.log(7.0) - pt.log(sigma)
-    return check_parameters(logp, sigma > 0, msg="sigma > 0")
-
-
-def test_another_density_of_the_same_form_is_left_alone():
-    with pm.Model() as model:
-        mu = response(chain(pm.Normal("theta", 1.0, 0.3)), PULSE)
-        pm.CustomDist("y", mu, 0.4, logp=almost_normal, observed=measured())
-    exact = stats.norm.logpdf(measured(), simulate(chain(1.1), PULSE).values, 0.4).sum()
-    exact += measured().size * 0.5 * np.log(2 * np.pi / 7.0)
-    found = model.compile_fn(model.datalogp, mode=REWRITTEN)({"theta": 1.1})
-    assert float(found) == pytest.approx(exact, rel=1e-10)
-
-
-def test_normal_of_an_impossible_structure_is_impossible():
-    model = normal()
-    possible, failed = compare(model, np.array([[1.0], [-0.5], [0.0], [0.8]]))
-    np.testing.assert_array_equal(possible, [True, False, False, True])
-    np.testing.assert_array_equal(failed, ~possible)
-    assert model.compile_fn(model.datalogp, mode=REWRITTEN)({"theta": -0.5}) == -np.inf

@@ -4,7 +4,6 @@ import contextlib
 import functools
 import multiprocessing
 import warnings
-import weakref
 
 import cloudpickle
 import numpy as np
@@ -32,7 +31,6 @@ from pymc_features.smc.density import evaluation, rows
 from support import external_functions as functions
 from support.families import CASES, measured
 from support.graphs import our_ops_of
-from support.reference import richardson
 
 CLOSE = {"rtol": 1e-9, "atol": 1e-9}
 
@@ -195,20 +193,6 @@ def test_every_likelihood(likelihood):
     assert (StructuralResponse in our_ops_of(logp.slopes.function)) == (likelihood == "of a changed response")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("build", [transforms, lambda: structural("chain")])
-def test_against_differences(build):
-    """Another route: differences of the values themselves."""
-    model = build()
-    logp = evaluation_of(model)
-    row = prior_particles(model, n=2, spread=0.05)[1]
-    *_, by_prior, by_likelihood = logp.gradient(row[None])
-    units = np.eye(len(row))
-    both = [richardson(lambda x: np.ravel(logp(x[None])[:2]), row, unit) for unit in units]
-    for slope, expected in zip((by_prior[0], by_likelihood[0]), np.transpose(both), strict=True):
-        np.testing.assert_allclose(slope, expected, rtol=0, atol=1e-6 * abs(expected).max())
-
-
 # --------------------------------------------------------------------------- particles that cannot be
 
 
@@ -248,16 +232,6 @@ def test_outside_the_support_is_alone():
     np.testing.assert_array_equal(failed, [False, False, True, False])
     assert not any(slope[1:3].any() for slope in slopes)
     np.testing.assert_allclose(slopes[1][[0, 3], 0], [(0.3 - 1.0) / 1.0, (0.3 - 0.4) / 0.25])
-
-
-def test_a_slope_that_is_not_finite_is_zero():
-    """The values stand: sqrt(x) at zero is zero."""
-    with pm.Model() as model:
-        pm.Potential("root", pt.sqrt(pm.Normal("x")))
-    prior, likelihood, failed, *slopes = evaluation_of(model).gradient(np.array([[0.0], [-1.0], [4.0]]))
-    np.testing.assert_array_equal(likelihood, [0.0, -np.inf, 2.0])
-    np.testing.assert_array_equal(failed, [False, True, False])
-    np.testing.assert_allclose(np.array(slopes)[:, :, 0], [[0.0, 0.0, -4.0], [0.0, 0.0, 0.25]])
 
 
 class Cube(Op):
@@ -312,23 +286,6 @@ def test_numerical_errors_are_alone_and_failures(batched, mode):
     np.testing.assert_allclose(grad_likelihood[~bad], -3 * x[~bad] ** 2, rtol=1e-12)
     np.testing.assert_allclose(grad_prior[~bad], -x[~bad], rtol=1e-12)
     assert logp.slopes.batched == batched and logp.last_error == "LinAlgError: no solution"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("build", [eight_schools, lambda: structural("chain", "of a changed response")])
-def test_splitting_changes_nothing(build, monkeypatch):
-    model = build()
-    particles = prior_particles(model, n=40)
-    whole = evaluation_of(model).gradient(particles)
-    logp = evaluation.PopulationLogp(model, model.initial_point(), {})
-    monkeypatch.setattr(rows, "BATCH_BYTES", 8 * 3 * 70 * 7)
-    for a, b in zip(whole, logp.gradient(particles), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-12)
-    assert 1 <= logp.slopes.batch < 40 or build is eight_schools
-    monkeypatch.setattr(rows, "BATCH_BYTES", 8 * 70)
-    logp = evaluation.PopulationLogp(model, model.initial_point(), {})
-    logp.compile_gradient()
-    assert 3 * logp.slopes.batch <= max(logp.batch, 3), "the gradient keeps more in memory"
 
 
 # --------------------------------------------------------------------------- models without a gradient
@@ -428,27 +385,6 @@ def test_external_programs():
 
 def never(*args, **kwargs):
     raise AssertionError("compiled again")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("compiled", [False, True], ids=["graph", "machine code"])
-@pytest.mark.parametrize("at_home", [True, False], ids=["same process", "another one"])
-def test_pickled_copies(compiled, at_home, monkeypatch):
-    model = structural("chain")
-    particles = prior_particles(model, spread=0.05)
-    logp = evaluation.PopulationLogp(model, model.initial_point(), {})
-    if compiled:
-        logp.compile_gradient()
-    sent = cloudpickle.dumps(logp)
-    expected = logp.gradient(particles)
-    if not at_home:  # as where nothing is alive
-        monkeypatch.setattr(evaluation, "_ALIVE", weakref.WeakValueDictionary())
-    copy = cloudpickle.loads(sent)
-    if compiled or at_home:
-        monkeypatch.setattr(rows, "compile_function", never)
-    assert (copy.slopes is logp.slopes) == at_home
-    for got, exact in zip(copy.gradient(particles), expected, strict=True):
-        np.testing.assert_allclose(got, exact, rtol=1e-12)
 
 
 def test_copies_share_what_one_of_them_compiles(monkeypatch):

@@ -256,18 +256,6 @@ def test_hard_threshold(share, draws, stage):
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_weak_likelihood_takes_one_stage(kernel):
-    """Reached at once, with the exact moments: mean and evidence within four standard errors over seeds."""
-    with pm.Model() as model:
-        x = pm.Normal("x")
-        pm.Normal("y", x, 5.0, observed=1.0)
-    runs = [run_chain(kernel, model, 500, seed) for seed in SEEDS]
-    assert all([stage["beta"] for stage in r.stages] == [1.0] for r in runs)
-    assert mean_within_errors([r.draws.mean() - 1 / 26 for r in runs])
-    assert mean_within_errors([r.evidence - stats.norm.logpdf(1.0, 0.0, np.sqrt(26)) for r in runs])
-
-
-@pytest.mark.parametrize("kernel", KERNELS)
 def test_impossible_prior_draws_count(kernel):
     """Likelihood zero on most of the prior: the evidence knows how many draws that was.
 

@@ -1,8 +1,5 @@
 """Runs of `SubsetSimulation`: what they report, budgets, other parts of a model, refusals."""
 
-import multiprocessing
-import warnings
-
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
@@ -21,8 +18,6 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.exceptions import PopulationWarning, SubsetSimulationWarning, ToleranceNotReachedError
-from pymc_features.smc.density.discrepancy import SimulatorNode
-from pymc_features.smc.kernels import subset
 from pymc_features.smc.kernels.levels import Levels
 from support.refusals import refusals
 from support.sampling import QUIET, mean_within_errors
@@ -86,25 +81,6 @@ def test_edge_belongs_to_the_tolerance():
     with pytest.warns(PopulationWarning):
         idata = sample(model, 600)
     assert set(np.unique(idata.posterior["k"])) == {0, 1, 2}
-
-
-def test_same_seed_same_result():
-    model = ball(2, 0.01)
-    one, same, other = (sample(model, random_seed=seed, chains=2) for seed in (1, 1, 2))
-    xr.testing.assert_equal(one["posterior"].dataset, same["posterior"].dataset)
-    assert not np.isin(one.posterior["x"], other.posterior["x"]).any()
-    assert not np.isin(one.posterior["x"][0], one.posterior["x"][1]).any(), "chains are independent"
-
-
-@pytest.mark.processes
-@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")
-def test_parallel_chains_give_the_same_draws():
-    """With noise, too: its streams travel with the chains."""
-    model = structure(noise=0.1)
-    expected = sample(model, 200, chains=2)
-    found = sample(model, 200, chains=2, cores=2, mp_ctx="fork")
-    np.testing.assert_allclose(found.posterior["theta"], expected.posterior["theta"], rtol=1e-12)
-    np.testing.assert_allclose(found.sample_stats["epsilon"], expected.sample_stats["epsilon"])
 
 
 PULSE = noise_record(100)
@@ -180,18 +156,6 @@ def test_budget_is_kept(budget):
     assert budget - 200 < sum(seen) - 1 <= budget
 
 
-def test_budget_of_failures():
-    """Too few successes to begin with."""
-
-    def rarely(x):
-        return np.array([x if x > 0.98 else np.nan])
-
-    with pytest.raises(
-        ToleranceNotReachedError, match="`max_simulations` were spent on simulations that fail"
-    ):
-        sample(own(rarely), 100, stage_draws=100, max_simulations=250)
-
-
 @pytest.mark.processes
 def test_unreachable_tolerance_in_processes():
     """PyMC wraps the error of a process; `sample_smc` raises it as it is."""
@@ -217,13 +181,6 @@ def test_last_level_cut_short_warns():
         none = run(model, 2000, stage_draws=200, max_simulations=before)
     assert none.simulations == before
     assert (np.square(cube(none)).sum(axis=1) <= 0.01 * (1 + 1e-9)).all()
-
-
-def test_long_levels_warn(monkeypatch):
-    monkeypatch.setattr(subset, "MAX_STEPS", 2)
-    with pytest.warns(SubsetSimulationWarning, match="a level took 2 steps before the chains had forgotten"):
-        result = run(ball(2, 0.01))
-    assert (np.square(cube(result)).sum(axis=1) <= 0.01 * (1 + 1e-9)).all()
 
 
 def test_ties_do_not_stall():
@@ -285,39 +242,6 @@ def test_potentials_that_leave_no_room_are_refused():
         sample(model)
 
 
-@pytest.mark.slow
-def test_discrete_variables_beside_vectors():
-    """Shares of k by their exact probabilities, means of chains at 4.5 errors."""
-
-    @batched
-    def combined(k, x):
-        return np.column_stack([x[:, 0] + k, x[:, 1]])
-
-    with pm.Model() as model:
-        k = pm.Binomial("k", 2, 0.3)
-        x = pm.Normal("x", shape=2)
-        DiscrepancySimulator("y", combined, k, x, epsilon=0.01, observed=np.array([1.5, 0.2]))
-    runs = [run(model, seed=seed) for seed in range(8)]
-    # given the error in the second entry, the first is within a length that does not depend on k
-    weights = stats.binom.pmf([0, 1, 2], 2, 0.3) * stats.norm.pdf([1.5, 0.5, -0.5])
-    for value, share in enumerate(weights / weights.sum()):
-        found = [(np.round(r.draws[:, 0]) == value).mean() for r in runs]
-        assert mean_within_errors(found, share, 0.002, 4.5), (
-            "0.002: the density's curvature over a length of 0.2"
-        )
-    for r in runs:
-        x = r.draws[:, 1:]
-        rho = (x[:, 0] + np.round(r.draws[:, 0]) - 1.5) ** 2 + (x[:, 1] - 0.2) ** 2
-        np.testing.assert_allclose(rho, r.rho, rtol=1e-8, atol=1e-12)
-
-
-def test_initial_values_are_no_prior():
-    """A model with an `initval` begins with draws all the same."""
-    model = stock(identity, epsilon=0.01, prior=lambda: pm.Uniform("x", -1.0, 1.0, initval=0.5))
-    result = run(model)
-    assert abs(result.evidence - np.log(0.01)) < 4.0 * result.se
-
-
 # --------------------------------------------------------------------------- refusals
 
 
@@ -361,23 +285,6 @@ def test_refusals(build, settings, match):
     model = ball(2, 0.01) if build is None else build()
     with pytest.raises(ValueError, match=match):
         SubsetSimulation(**{"draws": 100, "model": model, **settings})
-
-
-def test_smallest_runs():
-    """Few draws are no error, and inside."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        result = run(ball(2, 0.01), 2)
-    assert (np.square(cube(result)).sum(axis=1) <= 0.01 * (1 + 1e-9)).all()
-
-
-def test_the_node_of_a_model():
-    """What is hard and what is not; the tolerance asked for, or else its own."""
-    node = SimulatorNode(ball(2, 0.01))
-    assert node.hard and not node.conditions_on_more
-    assert (node.tolerance(), node.tolerance(0.5)) == (0.01, 0.5)
-    assert not SimulatorNode(stock(identity)).hard
-    assert SimulatorNode(of_each()).tolerance() == 1.0
 
 
 def test_too_few_first_particles_are_refused():

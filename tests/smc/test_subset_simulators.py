@@ -147,21 +147,6 @@ def test_thresholds_of_stock_distances(settings, edge):
     assert 0.95 * edge < found <= edge * (1 + 1e-12)
 
 
-def test_sorted_summary():
-    """Order does not matter to it: x in (-1, 1) against (1, -1), epsilon 0.5: |x| beyond 1 - 0.5 / sqrt 2."""
-
-    @batched
-    def pair(rng, x, size):
-        return np.broadcast_to(x, (*np.shape(x)[:-1], 2)) * [1.0, -1.0]
-
-    settings = {"observed": [1.0, -1.0], "epsilon": 0.5}
-    x = np.ravel(sample(stock(pair, sum_stat="sort", **settings)).posterior["x"])
-    edge = 1 - 0.5 / np.sqrt(2)
-    assert edge <= np.abs(x).min() < 1.1 * edge
-    assert 0.3 < (x > 0).mean() < 0.7
-    assert (np.ravel(sample(stock(pair, **settings)).posterior["x"]) > 0).all(), "without sorting"
-
-
 def test_tolerance_may_be_data():
     """New data take effect in the next run, and an argument goes before them."""
     with pm.Model() as model:

@@ -10,7 +10,7 @@ import pymc as pm
 import pytest
 from scipy import stats
 
-from pymc_features import DiscrepancySimulator, SubsetSimulation
+from pymc_features import SubsetSimulation
 from support.sampling import mean_within_errors
 from support.subset import Banana, TwoModes, ball, batched, cube, radius, run
 
@@ -275,20 +275,3 @@ def test_cost_of_small_probabilities():
     variance = radius(2, PROBABILITY[2]) ** 2 / 4
     effective = variance / np.mean([cube(r).mean(axis=0) ** 2 for r in runs])
     assert np.mean([r.simulations for r in runs]) <= 25 * effective
-
-
-def test_simulations_are_what_the_function_saw(d=2):
-    """Counted by the function itself; the compilation tries it once."""
-    seen = []
-
-    @batched
-    def counting(x):
-        seen.append(len(x))
-        return x
-
-    with pm.Model() as model:
-        x = pm.Uniform("x", -1.0, 1.0, shape=d)
-        DiscrepancySimulator("y", counting, x, epsilon=0.01, observed=np.zeros(d))
-    model_run = run(model)
-    assert sum(seen) - 1 == model_run.simulations
-    assert sum(level["evaluations"] for level in model_run.stages) == model_run.simulations

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pymc_features.smc.proposals.reference import Mode, Reference
-from pymc_features.smc.proposals.transport import Bend, Stretch, Transport, fit_transport, pairs
+from pymc_features.smc.proposals.transport import Bend, Stretch, Transport, pairs
 
 D = 6
 
@@ -83,17 +83,6 @@ def test_bananas_become_straight(n_pairs, noise):
     assert abs(evidence) < 0.1
 
 
-def test_wrong_slopes_cost_draws_but_bias_nothing():
-    """Values alone decide on a step, so that a wrong slope leads to a worse map and not to a wrong result."""
-    wrong = Bananas(8, 0.3, slope_error=-1.0)
-    bent = wrong.reference().bent(wrong.values, wrong.gradient, np.random.default_rng(7))
-    right = Bananas(8, 0.3)
-    straight = right.reference().bent(right.values, right.gradient, np.random.default_rng(7))
-    share, evidence = efficiency(bent, right, 40_000)
-    assert share < 0.7 * efficiency(straight, right)[0]
-    assert abs(evidence) < 0.25
-
-
 def test_slopes_of_the_reference():
     """Its gradient, which trajectories from it follow, against differences."""
     target, d = Bananas(8, 0.3), 16
@@ -108,32 +97,3 @@ def test_slopes_of_the_reference():
     expected = np.stack([(density(x + h * e) - density(x - h * e)) / (2.0 * h) for e in np.eye(d)], axis=1)
     found = reference.gradient(x, -0.5 * (x**2).sum(axis=1), -x)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
-
-
-def test_a_gaussian_is_left_alone():
-    def gradient(x):
-        return -0.5 * (x**2).sum(axis=1), -x
-
-    start = Transport((Stretch(np.zeros(D), np.eye(D)),))
-
-    def no_gradient(x):
-        raise AssertionError("a gradient was asked for")
-
-    found = fit_transport(lambda x: gradient(x)[0], no_gradient, start, np.random.default_rng(9))
-    assert found is start
-
-
-def test_where_the_density_is_zero_the_start_stays():
-    def values(x):
-        return np.where(x[:, 0] > 3.0, 0.0, -np.inf)
-
-    start = Transport((Stretch(np.zeros(D), np.eye(D)),))
-    found = fit_transport(values, lambda x: (values(x), np.zeros_like(x)), start, np.random.default_rng(9))
-    assert found is start
-
-
-def test_few_parameters_are_left_to_fits_of_points():
-    """Draws around a mode need not see all of a posterior that tempered points see."""
-    target = Bananas(7)
-    reference = target.reference()
-    assert reference.bent(target.values, target.gradient, np.random.default_rng(7)) is reference

@@ -6,16 +6,11 @@ from scipy import stats
 
 from pymc_features.smc.proposals import polynomials, unbending
 from pymc_features.smc.proposals.fitted import (
-    WIDER,
     FittedProposal,
     Unbent,
-    fit_proposal,
     fit_to,
-    fit_twice_to,
     fit_unbent,
 )
-from pymc_features.smc.proposals.proposal import fit_mixture
-from pymc_features.smc.proposals.scores import NormalScores
 from pymc_features.smc.proposals.unbending import UnbendingMap
 
 
@@ -64,28 +59,6 @@ def test_inverse_and_jacobian(shape, rotated):
     exact = np.linalg.slogdet(derivative.transpose(1, 2, 0))[1]
     smooth = np.abs(log_jacobian - exact) < 1e-4
     assert smooth.mean() > 0.9, "but for points at the edges of the clipped polynomials"
-
-
-@pytest.mark.parametrize("n_points", [12.0, 30.0, 60.0, 1000.0])
-def test_polynomials_of_all_axes_at_once(n_points):
-    """The same as axis by axis with `monomials`, from linear ones to powers, and back again."""
-    rng, d, n = np.random.default_rng(4), 5, unbending.BATCH + 7
-    axes = []
-    for k in range(d):
-        kind = polynomials.affordable(k, n_points)
-        n_terms = [polynomials.monomials(np.zeros((1, k)), of).shape[1] for of in (kind, polynomials.SQUARES)]
-        axes.append(polynomials.Axis(kind, *(0.2 * rng.standard_normal(m) for m in n_terms), 0.1 * k))
-    of_all, t = polynomials.Polynomials(axes), 2.0 * rng.standard_normal((n, d))
-    shift, log_scale = of_all.of_all(t.T)
-    for k, axis in enumerate(axes):
-        slope = polynomials.monomials(t[:, :k], polynomials.SQUARES) @ axis.slope
-        limit = polynomials.MAX_LOG_SCALE
-        np.testing.assert_allclose(log_scale[k], axis.level + np.clip(slope, -limit, limit), atol=1e-12)
-        np.testing.assert_allclose(
-            shift[k], polynomials.monomials(t[:, :k], axis.kind) @ axis.shift, atol=1e-10
-        )
-    z = (t.T - shift) * np.exp(-log_scale)
-    np.testing.assert_allclose(of_all.solved(z), t.T, atol=1e-9)
 
 
 @shapes
@@ -139,57 +112,6 @@ def test_a_parabola_between_logits(monkeypatch):
     assert kept > 0.08 and kept > 3.0 * share_kept()
 
 
-def test_a_second_map_without_powers():
-    """Beside the same first map, which has them; none for one parameter, or where nothing is bent."""
-    rng = np.random.default_rng(0)
-    x = stats.multivariate_t(np.zeros(5), np.eye(5), df=5).rvs(800, random_state=rng)
-    for k in range(1, 5):
-        x[:, k] += 0.3 * x[:, k - 1] ** 2
-    once, twice = (fit(x, np.random.default_rng(1)) for fit in (fit_to, fit_twice_to))
-    first, second, safeguard = twice.components
-    np.testing.assert_array_equal(first.log_density(x), once.components[0].log_density(x))
-    np.testing.assert_array_equal(safeguard.log_density(x), once.components[1].log_density(x))
-    kinds = [{axis.kind for axis in part.map.axes[1:]} for part in (first, second)]
-    assert polynomials.POWERS in kinds[0] and polynomials.POWERS not in kinds[1]
-    assert first.map.rotated == second.map.rotated and twice.weights.sum() == pytest.approx(1.0)
-    bare = fit_twice_to(x[:, :1] ** 3, np.random.default_rng(0))
-    assert bare.map is not None and len(bare.components) == 2
-    straight = fit_twice_to(rng.standard_normal((60, 5)), np.random.default_rng(0))
-    assert straight.map is None and len(straight.components) == 2
-
-
-def test_points_far_apart_make_a_map():
-    """Of eight coordinates, each with the square of the one before, rounding leaves some axes no variance."""
-    for seed in range(8):
-        x = stats.multivariate_t(np.zeros(8), np.eye(8), df=5).rvs(1600, random_state=seed)
-        for k in range(1, 8):
-            x[:, k] += 0.2 * x[:, k - 1] ** 2
-        z, log_jacobian = UnbendingMap(x, np.ones(1600)).forward(x)
-        assert np.isfinite(z).all() and np.isfinite(log_jacobian).all()
-
-
-@shapes
-def test_the_map_is_used_where_it_is_better(shape):
-    """Other draws have a higher density behind the map than without."""
-    x = SHAPES[shape](np.random.default_rng(0), 3000)
-    proposal = fit_proposal(x, np.ones(len(x)), np.random.default_rng(2))
-    assert proposal.map is not None
-    fresh = SHAPES[shape](np.random.default_rng(1), 3000)
-    plain = fit_mixture(x, np.ones(len(x)), np.random.default_rng(2))
-    wider = len(x.T) * np.log(WIDER)  # density that its greater width costs at most
-    assert proposal.components[0].log_density(fresh).mean() > plain.log_density(fresh).mean() - wider
-
-
-def test_a_gaussian_needs_no_map():
-    """The choice by held-out points may go either way where both are right, by a small difference."""
-    x = np.random.default_rng(0).standard_normal((2000, 3)) @ np.array(
-        [[1.0, 0.9, 0], [0, 0.4, 0], [0, 0, 2.0]]
-    )
-    proposal = fit_proposal(x, np.ones(len(x)), np.random.default_rng(2))
-    exact = stats.multivariate_normal(np.zeros(3), np.cov(x.T)).logpdf(x)
-    assert proposal.log_density(x).mean() > exact.mean() - 0.12
-
-
 @shapes
 def test_density_is_normalised(shape):
     """The mean of q / p over draws of a wide p is one within four standard errors (6e-5), by a known p."""
@@ -232,29 +154,6 @@ def test_moves_leave_the_proposal_invariant(scale):
     parts[0] = Shifted(*parts[0])
     if scale < 1.0:
         assert changes(FittedProposal(parts, np.array([0.8, 0.2])), scale)
-
-
-def test_normal_scores():
-    """Against SciPy's logistic and normal distributions, far out as well, with the slope by differences."""
-    scores = NormalScores([True, False])
-    x = np.array([[-700.0, 1.0], [-40.0, 2.0], [-3.0, 3.0], [0.0, 4.0], [5.0, 5.0], [800.0, 6.0]])
-    u, log_jacobian = scores.forward(x)
-    near = slice(1, 5)
-    np.testing.assert_allclose(u[near, 0], stats.norm.ppf(stats.logistic.cdf(x[near, 0])), atol=1e-12)
-    np.testing.assert_array_equal(u[:, 1], x[:, 1])
-    np.testing.assert_allclose(scores.inverse(u), x, rtol=1e-12)
-    slope = (scores.forward(x + 1e-4)[0] - scores.forward(x - 1e-4)[0])[:, 0] / 2e-4
-    np.testing.assert_allclose(np.exp(log_jacobian), slope, rtol=1e-5)
-
-
-def test_far_points_have_no_density_and_stay():
-    """What overflows on the way through the map is neither a number that misleads nor an error."""
-    x = funnel(np.random.default_rng(0))
-    unbent = fit_unbent(x, np.ones(len(x)), np.random.default_rng(2))
-    far = np.array([[1e300, 0.0, 0.0, 0.0, 0.0], [0.0, 1e300, -1e300, 0.0, 0.0]])
-    assert not (unbent.log_density(far) > -100.0).any()
-    moved = unbent.move(far, 0.2, np.random.default_rng(3))
-    assert np.isfinite(moved).all()
 
 
 def test_thin_bends_in_ten_dimensions():

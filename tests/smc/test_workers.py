@@ -33,9 +33,8 @@ from pymc_features.processes import calls
 from pymc_features.simulators.nonlinear.kernels import PARTICLES
 from pymc_features.simulators.reduced.known import KNOWN
 from pymc_features.smc import open_workers, population_logp
-from pymc_features.smc.density.rows import TOGETHER, UNIT
+from pymc_features.smc.density.rows import UNIT
 from pymc_features.smc.workers import workers as workers_module
-from pymc_features.smc.workers.cuts import parts_of
 from support.external_functions import DATA, SHAPE, beam, lives
 from support.families import CASES, RAYLEIGH, measured, pulse
 from support.sampling import QUIET
@@ -161,28 +160,6 @@ def test_large_structures_share_a_basis(eager):
         in_full = logp.gradient(particles)
     np.testing.assert_allclose(values[1], in_full[1], rtol=1e-8)
     np.testing.assert_allclose(slopes[4], in_full[4], rtol=1e-5, atol=1e-5 * abs(in_full[4]).max())
-
-
-def test_products_of_matrices_are_evaluated_by_equal_calls():
-    """BLAS adds up in another order for other numbers of rows."""
-    logp = population_logp(two_nodes(), two_nodes().initial_point(), {})
-    assert logp.values.unit == logp.batch == TOGETHER
-    with pm.Model() as plain:
-        x = pm.Normal("x", shape=2)
-        pm.Normal("y", pt.dot(RNG.normal(size=(5, 2)), x), observed=np.zeros(5))
-    logp = population_logp(plain, plain.initial_point(), {})
-    assert logp.values.unit == logp.batch > 1000  # no simulation: not worth it
-
-
-@pytest.mark.parametrize("n", [1, 15, 16, 17, 1000])
-@pytest.mark.parametrize("places", [None, 1, 3, 1000])
-def test_parts(n, places):
-    parts = parts_of(n, 8, 20, places)
-    assert parts[0][0] == 0 and parts[-1][1] == n
-    assert all(end == begin for (_, end), (begin, _) in zip(parts, parts[1:], strict=False))
-    assert all(first % 8 == 0 for first, _ in parts)
-    assert len(parts) == 1 or min(end - first for first, end in parts) >= 24
-    assert places is None or max(end - first for first, end in parts) <= max(48, n / (2 * places) + 8)
 
 
 # --------------------------------------------------------------------------- workers
@@ -358,24 +335,6 @@ def test_a_part_on_which_processes_die(eager, monkeypatch):
         monkeypatch.setattr(InThisProcess, "dies", 1000)
         with pytest.raises(NoWorkersError, match="`executor` must have workers that live, got 3 that died"):
             own(particles)
-
-
-def test_too_small_populations_stay_here():
-    model = model_of("chain")
-    logp = population_logp(model, model.initial_point(), {})
-    with Here() as pool, open_workers(pool) as workers:
-        own, particles = workers.run().of(logp), RNG.normal(1.0, 0.3, (100, 3))
-        np.testing.assert_array_equal(own(particles)[1], logp(particles)[1])
-        assert pool.parts == 0
-
-
-def test_an_error_in_one_chain_ends_all(eager, monkeypatch):
-    """And Ctrl-C, which is one in the main thread."""
-    monkeypatch.setattr(calls, "SimulatorProcess", InThisProcess)
-    monkeypatch.setattr(InThisProcess, "dies", 10_000)
-    with Here() as pool, pytest.raises(NoWorkersError, match="that died with the same part"):
-        sample_smc(100, model=model_of("chain"), chains=3, executor=pool, random_seed=1, **QUIET)
-    assert not [t for t in threading.enumerate() if t.name.startswith("chain")]
 
 
 # --------------------------------------------------------------------------- refused

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pymc as pm
-import pymc.dims as pmd
 import pytensor.tensor as pt
 import pytest
 
@@ -88,19 +87,6 @@ def test_particles_are_still_taken_together(name):
     particles = evaluations[0].start + 0.1 * np.random.default_rng(0).normal(size=(5, 6))
     for ours, expected in zip(*(evaluate(particles) for evaluate in evaluations), strict=True):
         np.testing.assert_allclose(ours, expected, rtol=1e-12)
-
-
-def test_lengths_come_from_the_coordinates():
-    with pm.Model(coords={"storey": range(42)}) as model:
-        k = pm.LogNormal("k", dims="storey")
-        model.add_coord("spring", length=5)
-        springs = pm.Deterministic("springs", 2.0 * pm.HalfNormal("h", dims="spring")[1:], dims=None)
-        of_dims = pmd.LogNormal("of_dims", 0.0, 1.0, dims="storey")
-    assert k.type.shape == (None,)
-    assert SpringMassChain(1.0, k, LIGHTLY_DAMPED).stiffness.type.shape == (42,)
-    assert SpringMassChain(1.0, of_dims, LIGHTLY_DAMPED).n_dof == 42
-    assert SpringMassChain(springs, 1.0, LIGHTLY_DAMPED).n_dof == 4
-    assert repr(ModalDamping(k)) == "ModalDamping(k)"
 
 
 def test_lengths_that_only_a_draw_decides_are_unknown():

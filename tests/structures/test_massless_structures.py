@@ -1,16 +1,12 @@
 """Structures with massless degrees of freedom: their modes, and what is refused by its degrees of freedom."""
 
-import copy
-import pickle
-
 import numpy as np
 import pytensor.tensor as pt
 import pytest
-from scipy import sparse
 from scipy.linalg import eigh
 
-from pymc_features import AffineStructure, LinearStructure, ModalDamping, RayleighDamping, response, simulate
-from pymc_features.algebra import always_massless, massless_motions, natural_modes
+from pymc_features import AffineStructure, LinearStructure, RayleighDamping, response, simulate
+from pymc_features.algebra import natural_modes
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.system import admissible_modes
 from support.graphs import PLAIN
@@ -79,50 +75,6 @@ def test_a_raft_keeps_its_rigid_body(kind):
     np.testing.assert_allclose(modes.mode_shapes[:, 0], 1.0 / np.sqrt(7.0), rtol=1e-9)
     assert raft.modes(1).angular_frequencies[0] == 0.0
     assert simulate(raft, noise_record(30, seed=1)).shape == (7, 30)
-
-
-@kinds
-def test_null_space(kind):
-    """Rows of zeros, a mass on an arm, two masses whose rows depend; none of a definite matrix."""
-    arm = np.array([1.0, 0.3])
-    block = 2.0 * np.outer(arm, arm)
-    mass = np.zeros((7, 7))
-    mass[1:3, 1:3], mass[4, 4], mass[5:, 5:] = block, 3.0, [[2.0, 1.0], [1.0, 1.0]]
-    found = massless_motions(kind(mass))
-    motions = found.motions.toarray() if sparse.issparse(found.motions) else found.motions
-    assert found.rank == 4 and found.others.size == 4 and {0, 3} < set(found.dofs)
-    np.testing.assert_array_equal(motions[found.dofs], np.eye(3))
-    np.testing.assert_allclose(mass @ motions, 0.0, atol=1e-14)
-    assert massless_motions(kind(np.diag([1e-9, 1.0, 1e9]))).rank == 3
-    for wrong in ([[0.0, 1.0], [1.0, 0.0]], [[1.0, 1.0], [1.0, 0.9999]], [[0.0, 1.0], [1.0, 5.0]]):
-        assert massless_motions(kind(np.array(wrong))) is None
-        assert not dense_modes(np.array(wrong), 1e3 * np.eye(2), np.empty(1), np.empty((1, 2)))
-
-
-@kinds
-def test_motions_that_matrices_share(kind):
-    """For a model they are counted by what any parameters give mass to, semi-definite terms or not."""
-    whole, tip, none = np.diag([1.0, 0.0, 0.0]), np.diag([0.0, 1.0, 0.0]), np.zeros((3, 3))
-    assert always_massless([kind(whole), kind(none), kind(-0.5 * whole)]).dofs.tolist() == [1, 2]
-    assert always_massless([kind(whole), kind(tip)]).dofs.tolist() == [2]
-    assert always_massless([kind(whole + tip), kind(whole - tip)]).dofs.tolist() == [2]
-    structure = AffineStructure(
-        kind(whole), stiffness=kind(np.eye(3)), damping=UNDAMPED, mass_terms=[kind(tip)], theta=[0.0]
-    )
-    assert structure.n_modes == 1 and structure.with_parameters([0.5]).n_modes == 2
-    assert structure.with_parameters(pt.vector("theta", shape=(1,))).n_modes == 2
-
-
-def test_is_a_value():
-    """Copies and workers keep the motions; the matrix of modal damping has no drag where there is no mass."""
-    beam = Cantilever()
-    structure = beam.structure(THETA, ModalDamping(0.05), sparse.csc_array)
-    for same in (copy.deepcopy(structure), pickle.loads(pickle.dumps(structure))):
-        np.testing.assert_array_equal(simulate(same, noise_record(20)), simulate(structure, noise_record(20)))
-    damping = structure.matrices().damping
-    assert not damping[1::2].any()
-    own = LinearStructure(**structure.matrices()._asdict(), influence=beam.influence)
-    np.testing.assert_allclose(own.modes().damping_ratios, 0.05, rtol=1e-10)
 
 
 def test_inside_a_model():

@@ -35,13 +35,6 @@ def by_number(i):
     return simulate(frame(), RECORD, sensors=[i]).values[0]
 
 
-def test_all_sensors_have_their_names():
-    assert simulate(frame(), RECORD)["sensor"].values.tolist() == NAMES
-    assert simulate(frame(), RECORD, sensors=[0, 2])["sensor"].values.tolist() == [0, 2]
-    assert simulate(CHAIN, RECORD)["sensor"].values.tolist() == [0, 1, 2]
-    assert (CHAIN.dof_names, frame().dof_names) == (None, tuple(NAMES))
-
-
 def test_predictions_have_the_names():
     """Also where a base shear, which has no sensors, is predicted with them."""
     posterior = xr.Dataset({"stiffness": (("chain", "draw"), [[1.0, 1.0, 1.0]])})

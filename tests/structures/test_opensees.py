@@ -76,15 +76,6 @@ def test_example_of_the_page():
     assert 0.0 < abs(up).max() < 0.1 * abs(left).max()
 
 
-def test_corners_follow_their_master():
-    """u - (y - y_m) rz and v + (x - x_m) rz."""
-    structure = frame()
-    master = structure.rows_named(["29:x", "29:y", "29:rz"])
-    u, v, rz = np.eye(45)[master]
-    rows = structure.rows_named(["23:x", "23:y", "23:rz"])
-    np.testing.assert_allclose(rows, [u - (4.0 - 2.3) * rz, v + (6.0 - 2.5) * rz, rz], atol=1e-12)
-
-
 def test_two_directions_are_two_supports():
     structure = frame(direction=("x", "y"))
     assert structure.n_supports == 2
@@ -146,12 +137,6 @@ def test_large_models_are_sparse(monkeypatch):
 def test_refusals(build, settings, message):
     with pytest.raises((ValueError, TypeError), match=message):
         AffineStructure.from_opensees(build, NOMINAL, **{"damping": ModalDamping(0.02)} | settings)
-
-
-def test_storey_height_is_refused_by_name():
-    heights = NOMINAL | {"height": 3.0}
-    with pytest.raises(ValueError, match="stiffness in which height enters otherwise.*ExternalSimulator"):
-        AffineStructure.from_opensees(building, heights, damping=ModalDamping(0.02))
 
 
 @pytest.mark.parametrize(

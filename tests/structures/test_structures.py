@@ -114,22 +114,6 @@ def test_modes_and_effective_masses():
 
 
 @pytest.mark.parametrize(
-    ("mass", "stiffness"),
-    [
-        ([1.0, 1.0], [100.0, 0.0]),
-        ([1.0, 1.0], [-100.0, 100.0]),
-        ([0.0, 1.0], [100.0, 100.0]),
-        ([1.0, np.nan], [100.0, 100.0]),
-        ([1.0, 1.0], [np.nan, 100.0]),
-        ([1.0, np.inf], [100.0, 100.0]),
-        ([1.0, 1.0], [100.0, np.inf]),
-    ],
-)
-def test_kernel_says_no_to_what_is_no_chain(mass, stiffness):
-    assert not chain_modes(np.array(mass), np.array(stiffness), np.empty(2), np.empty((2, 2)), np.empty(2))
-
-
-@pytest.mark.parametrize(
     ("stiffness", "printed"), [(1800.0, (1.0092, 3.0051, 4.9338)), (1000.0, (0.752, 2.240, 3.677))]
 )
 def test_frequencies_of_the_source(stiffness, printed):
@@ -305,29 +289,6 @@ def test_scale_stiffness_numbers_and_variables(factor, springs, expected):
     np.testing.assert_allclose(values, expected, rtol=1e-15)
 
 
-def test_scale_stiffness_of_scalar_and_of_symbolic_springs():
-    uniform = SpringMassChain(np.ones(3), 10.0, UNDAMPED)
-    assert uniform.scale_stiffness(2.0, [1]).stiffness.tolist() == [10.0, 20.0, 10.0]
-    k, f = pt.scalar("k"), pt.scalar("f")
-    scaled = SpringMassChain(np.ones(3), k, UNDAMPED).scale_stiffness(f, [0]).scale_stiffness(3.0, [2])
-    values = scaled.stiffness.eval({k: 10.0, f: 0.5}, mode=PLAIN)
-    assert values.tolist() == [5.0, 10.0, 30.0]
-
-
-def test_lists_may_mix_numbers_and_variables():
-    k, f, m = pt.scalar("k"), pt.scalar("f"), pt.iscalar("m")
-    chain = SpringMassChain([1.0, m, 3], [100.0, k, 300], ModalDamping([0.01, 0.02, k / 1e4]))
-    assert (chain.n_dof, chain.is_symbolic) == (3, True)
-    chain = chain.scale_stiffness([f, 2.0], springs=[2, 0])
-    mass, stiffness, rayleigh, ratios = chain.parameters()
-    assert {v.dtype for v in (mass, stiffness, ratios)} == {"float64"}
-    assert rayleigh.tolist() == [0.0, 0.0]
-    values = {k: 150.0, f: 0.1}
-    np.testing.assert_allclose(stiffness.eval(values, mode=PLAIN), [200.0, 150.0, 30.0], rtol=1e-14)
-    np.testing.assert_allclose(mass.eval({m: 2}, mode=PLAIN), [1.0, 2.0, 3.0])
-    np.testing.assert_allclose(ratios.eval({k: 150.0}, mode=PLAIN), [0.01, 0.02, 0.015], rtol=1e-14)
-
-
 def test_symbolic_damping():
     a = pt.scalar("a")
     for damping, expected in [
@@ -347,11 +308,6 @@ def test_symbolic_structure_has_no_numbers(method):
     chain = numeric_scaling().scale_stiffness(pt.scalar("f"), [0])
     with pytest.raises(TypeError, match="must be asked of a structure of numbers, got PyTensor variables"):
         getattr(chain, method)()
-
-
-def test_representation_is_readable():
-    assert repr(numeric_scaling()) == "SpringMassChain(4 masses, ModalDamping(0.0))"
-    assert repr(RayleighDamping(0.1, 0.2)) == "RayleighDamping(alpha=0.1, beta=0.2)"
 
 
 def chain(mass, stiffness, damping=UNDAMPED):

@@ -16,7 +16,6 @@ from pymc_features import abc_tolerance, cli, sampling_rate_study
 from pymc_features.exceptions import StudyMismatchError
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.simulators import simulate
-from pymc_features.smc.results import pad_stages, savable
 from pymc_features.storage import PartStore
 from pymc_features.study import STRUCTURES, as_csv, as_markdown, paper
 from pymc_features.study import sampling_rate as study_module
@@ -359,13 +358,6 @@ def test_folder_of_another_structure_is_refused(short, tmp_path, names):
         PartStore(tmp_path, second | {key: first[key] for key in first if key != "structure"})
 
 
-def test_settings_of_the_linear_chain_are_those_of_older_folders(short):
-    """Folders from before there was a choice of structures can be continued."""
-    keys = "record record_sha256 record_dt stiffness noise multipliers likelihoods draws chains random_seed"
-    assert list(Study(short, random_seed=0).settings()) == keys.split()
-    assert Study(short, random_seed=0).settings()["draws"] == 2000
-
-
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
@@ -387,11 +379,6 @@ def test_settings_of_the_linear_chain_are_those_of_older_folders(short):
 def test_bad_settings(short, kwargs, message):
     with pytest.raises(ValueError, match=message):
         small_study(short, **kwargs)
-
-
-def test_record_must_be_a_record():
-    with pytest.raises(TypeError, match="`record` must be a Record, got list"):
-        small_study([1.0, 2.0])
 
 
 def test_measurements_have_the_stated_noise_once(short):
@@ -422,18 +409,6 @@ def test_noise_may_persist(short):
     assert study.title == "linear chain, noise correlated over 0.05 s"
     assert study.settings()["noise_time"] == 0.05
     assert not np.array_equal(study.finest, Study(short, random_seed=4).finest)
-
-
-def test_ragged_statistics_are_padded():
-    ragged = np.empty(2, dtype=object)
-    ragged[:] = [[0.1, 1.0], [0.1, 0.4, 1.0]]
-    np.testing.assert_array_equal(pad_stages(ragged, 2), [[0.1, 1.0, np.nan], [0.1, 0.4, 1.0]])
-    np.testing.assert_array_equal(pad_stages(np.array([0.1, 1.0]), 1), [[0.1, 1.0]])
-    posterior = xr.Dataset({"a": (("chain", "draw"), np.zeros((2, 3)))}, coords={"chain": [0, 1]})
-    stats = xr.Dataset({"beta": ("chain", ragged)}, attrs={"note": None})
-    tree = savable(xr.DataTree.from_dict({"posterior": posterior, "sample_stats": stats}))
-    assert tree["sample_stats"]["beta"].dims == ("chain", "stage")
-    assert tree["sample_stats"].attrs == {"note": "None"}
 
 
 def test_arguments_of_samplers_are_known_by_name(short):

@@ -10,11 +10,11 @@ import xarray as xr
 from pymc_features import cli, sampling_rate_study, simulate
 from pymc_features.cli import make_parser
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.study import STRUCTURES, as_markdown, find_structure, paper, yielding
+from pymc_features.study import STRUCTURES, find_structure, paper, yielding
 from pymc_features.study.exact import reference
 from pymc_features.study.sampling_rate import SamplingOptions
-from pymc_features.study.settings import Study, computed_sums
-from pymc_features.study.structures import DEFAULT, YIELD_DISPLACEMENT, bouc_wen_chain
+from pymc_features.study.settings import Study
+from pymc_features.study.structures import YIELD_DISPLACEMENT, bouc_wen_chain
 from support.straight import Record
 
 pytestmark = pytest.mark.slow
@@ -43,13 +43,6 @@ def test_structures_of_the_study(name, record):
     assert Study(record, structure=softer, likelihoods=["TN"], multipliers=[10.0]).structure == softer
     assert entry.quick["draws"] < entry.draws
     assert name in make_parser()._subparsers._group_actions[0].choices["reproduce"].format_help()
-
-
-def test_names_of_structures():
-    assert DEFAULT in STRUCTURES
-    assert len({entry.title for entry in STRUCTURES.values()}) == len(STRUCTURES)
-    with pytest.raises(ValueError, match="`structure` must be one of linear, bouc-wen, got 'steel'"):
-        find_structure("steel")
 
 
 def test_yielding_is_as_stated(record):
@@ -98,13 +91,6 @@ def test_shared_responses_serve_every_step(study, theta):
         # negative control: the data of another step
         other = direct_sums(study, theta, 1.0 if multiplier != 1.0 else 5.0)
         assert abs(got[1] / other[1] - 1.0) > 1e3 * accuracy
-
-
-def test_kernel_of_the_family_gives_the_same_sums(study):
-    data = study.data(5.0).values
-    by_kernel = computed_sums(study.at, study.record, data, 5.0 * study.record.dt)
-    expected = direct_sums(study, 1.01, 5.0)
-    np.testing.assert_allclose(by_kernel(1.01), expected, rtol=3e-6)  # Taylor and Runge-Kutta steps
 
 
 def test_uncertainty_does_not_depend_on_the_sampling_rate(study):
@@ -204,32 +190,6 @@ def test_stopped_run_continues_with_the_same_structure_only(folder, capsys):
     error = capsys.readouterr().err
     assert "`out` must be empty or hold the same study" in error
     assert "structure = 'bouc-wen' instead of None" in error
-
-
-def test_springs_that_do_not_yield_are_reported(result):
-    assert yielding(result).startswith("7 of 10 springs drift beyond")
-    weak = xr.DataTree.from_dict({"loops": result["loops"].to_dataset().copy()})
-    weak["loops"]["ductility"] = 0.1 * weak["loops"]["ductility"]
-    assert yielding(weak).startswith("no spring reaches its yield displacement (at most 0.")
-    assert yielding(xr.DataTree()) == ""
-    assert "## Springs" not in as_markdown_without_loops(result)
-
-
-def as_markdown_without_loops(result):
-    """Table of the same study without its loops, as of a linear chain."""
-    linear = result.copy()
-    del linear["loops"]
-    return as_markdown(linear)
-
-
-def test_first_look_at_costly_structures_takes_the_strong_part_of_a_record():
-    acceleration = np.zeros(1001)
-    acceleration[150], acceleration[400] = 1.0, -2.0
-    record = Record(acceleration, 0.02, name="pulses")
-    part = cli.strong_part(record, 8.0)
-    assert (part.n_times, part.pga, part.dt, part.name) == (801, 2.0, 0.02, "pulses, first 16 s")
-    np.testing.assert_array_equal(part.acceleration, acceleration[:801])
-    assert cli.strong_part(record, 20.0) is record
 
 
 def test_default_folder_names_the_structure():

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, linalg, stats
 
-from pymc_features import simulate
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.study import paper
 from pymc_features.study.exact import (
     OWN_POSTERIORS,
     DiscrepancyCurve,
@@ -179,19 +177,6 @@ def test_with_the_time_inferred_white_noise_is_found(widths):
     np.testing.assert_allclose(widths["CN-TAU"], widths["NORM"], rtol=0.02)
 
 
-def test_curve_of_a_step_is_that_of_the_response(record):
-    """The four sums, against the simulated histories."""
-    short = Record(record.acceleration[:101], record.dt)
-    study = Study(short, random_seed=0, multipliers=(1.0, 2.0))
-    step = study.misfit(2.0)
-    theta = 1.07
-    response = simulate(paper.chain(theta), short, dt=2 * short.dt).values
-    np.testing.assert_allclose(step.at(theta), sums_of(study.data(2.0).values - response), rtol=1e-9)
-    assert step.curve.total(theta) * step.shape[1] == pytest.approx(step.at(theta)[0], rel=1e-12)
-    exact = simulate(paper.chain(), short, dt=short.dt).values
-    assert study.scale == pytest.approx(0.05 * np.sqrt(np.mean(exact**2)), rel=1e-12)
-
-
 @pytest.mark.parametrize("kind", LIKELIHOODS)
 def test_entries_of_the_catalogue(kind):
     """What every likelihood must state."""
@@ -227,8 +212,3 @@ def test_entries_of_the_catalogue(kind):
 )
 def test_verdicts_in_words(kind, width, words):
     assert verdict(kind, [0.1, 0.2, 1.0][: len(width)], width).startswith(words)
-
-
-def test_verdicts_give_no_reason_that_does_not_apply():
-    """A short record may move TN's interval, too, but not because sigma must make up for a correlation."""
-    assert verdict("TN", [0.1, 0.2], [2**0.5, 1.0]) == "widens as the step shrinks, like its power -0.5"

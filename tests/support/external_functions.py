@@ -45,11 +45,6 @@ def two(a, b):
     return a * beam(1.0) + np.reshape(b, (2, 1)) ** 2
 
 
-def two_gradient(a, b, cotangent):
-    """By both."""
-    return np.sum(cotangent * beam(1.0)), 2.0 * np.asarray(b) * np.sum(cotangent, axis=1)
-
-
 def lives(pid) -> bool:
     """Whether a process is there and no zombie."""
     try:
@@ -89,21 +84,6 @@ class Counted:
             return []
         lines = Path(self.path).read_text().split("\n")[:-1]
         return [(int(pid), float(k)) for pid, k in map(str.split, lines)]
-
-
-class Timed(Counted):
-    """`beam`, that writes down each call: process (id), begin and end by the clock of the machine [s]."""
-
-    def __call__(self, k):
-        begin = time.monotonic()
-        time.sleep(self.seconds)
-        note(self.path, f"{os.getpid()} {begin!r} {time.monotonic()!r}")
-        return beam(k)
-
-    def calls(self):
-        """Processes, begins and ends so far."""
-        lines = map(str.split, Path(self.path).read_text().splitlines())
-        return [(int(pid), float(begin), float(end)) for pid, begin, end in lines]
 
 
 class Hanging:

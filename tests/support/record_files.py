@@ -6,8 +6,6 @@ publish; the specification stands in the docstring of each reader.
 
 import numpy as np
 
-BLANKS = "-999"
-
 
 def columns(values, form, per_line):
     """Values in a Fortran format, several to a line, one right beside the other."""

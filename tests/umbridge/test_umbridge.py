@@ -11,7 +11,7 @@ import pytest
 import requests
 
 import pymc_features as pmf
-from pymc_features.umbridge import RemoteModel, checked_shape, from_umbridge, models_of
+from pymc_features.umbridge import RemoteModel, from_umbridge, models_of
 from support.external_models import AtOnce
 
 pytestmark = pytest.mark.processes
@@ -186,14 +186,6 @@ def test_bad_addresses_and_models(url):
         from_umbridge(url, "forward")
     with pytest.raises(ValueError, match="`shape` must be two numbers with the product"):
         from_umbridge(url, "response", shape=(2, 3))
-
-
-def test_shapes_of_outputs():
-    assert checked_shape(None, [5, 5, 5]) == (3, 5) and checked_shape(None, [7]) == (1, 7)
-    with pytest.raises(ValueError, match="`shape` must be two numbers with the product 7, got none"):
-        checked_shape(None, [3, 4])
-    with pytest.raises(TypeError, match="`shape` must be two whole numbers"):
-        checked_shape(7, [3, 4])
 
 
 def test_without_a_gradient_none_is_offered():

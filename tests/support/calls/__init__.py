@@ -1,1 +1,1 @@
-"""Calls of everything public, with what each argument takes."""
+"""Calls of public functions, one or more for each kind of check, with what each argument takes."""

@@ -5,7 +5,7 @@ import xarray as xr
 
 import pymc_features as pmf
 from support.border import Call, work
-from support.calls.samplers import IDATA, MODEL, ODD_TREES, POSTERIOR
+from support.calls.samplers import MODEL, ODD_TREES, POSTERIOR
 from support.odd_values import PAIR, POSITIVE, TEXTS
 
 ONE_SEED = {"None", "0"}
@@ -38,25 +38,6 @@ CALLS = {
         {name: {"None"} for name in ("prior", "checks", "held_out", "predictions")}
         | {"random_seed": ONE_SEED},
         more={"models": {name: {"a": SAMPLED, "b": tree} for name, tree in ODD_TREES.items()}},
-    ),
-    "continue_with": Call(
-        pmf.continue_with,
-        {
-            "idata": IDATA,
-            "model": MODEL,
-            "drift": None,
-            "forgetting": 0.9,
-            "change": 0.01,
-            "draws": 100,
-            "random_seed": 1,
-        },
-        {
-            "drift": {"None"},
-            "draws": {"None"},
-            "random_seed": ONE_SEED,
-        },
-        instead={"pymc_features.events.sequence.FittedDensity": work},
-        more={"idata": ODD_TREES},
     ),
     "sample_in_sequence": Call(
         pmf.sample_in_sequence,
@@ -96,19 +77,5 @@ CALLS = {
         {"candidates": ["positions", "n"]},
         instead={"pymc_features.placement.sensors.gram_matrices": work},
         more={"idata": ODD_TREES},
-    ),
-    "hierarchical": Call(
-        pmf.hierarchical,
-        {
-            "events": [IDATA, IDATA],
-            "hyper": POPULATION,
-            "models": [MODEL, MODEL],
-            "event_draws": 100,
-            "random_seed": 1,
-        },
-        {"random_seed": ONE_SEED},
-        {"models": ["events"], "events": ["hyper"]},
-        instead={"pymc_features.events.hierarchical.Marginal": work},
-        more={"events": {name: [IDATA, tree] for name, tree in ODD_TREES.items()}},
     ),
 }

@@ -8,9 +8,8 @@ import numpy as np
 import xarray as xr
 
 import pymc_features as pmf
-from pymc_features.ground_motion import AminAng, CloughPenzien
-from support.border import Call, work
-from support.odd_values import NOT_NEGATIVE, PAIR, POSITIVE
+from support.border import Call
+from support.odd_values import PAIR, POSITIVE
 
 FOLDER = TemporaryDirectory()
 TEXT = Path(FOLDER.name) / "shaken.csv"
@@ -74,7 +73,6 @@ WELL = {
 }
 SEVERAL = WELL - {"channels of one name", "one channel"}
 MORE = {"channels": ODD_CHANNELS}
-TEXTS = {"text"}
 EARTHQUAKE = {
     "duration": 1.0,
     "dt": 0.1,
@@ -136,36 +134,11 @@ CALLS = {
         {"column": ["dt"], "wrapped": ["column"], "path": ["files", "column", "dt"]},
     ),
     "read_channels": reader(pmf.read_channels),
-    "read_channels_with_gaps": reader(pmf.read_channels_with_gaps),
-    "read_cyclic_test": Call(
-        pmf.read_cyclic_test,
-        {
-            "files": TEXT,
-            "columns": ("base", "roof"),
-            "units": ("mm", "kN"),
-            "dt": 1.0,
-            "skip": 0,
-            "wrapped": None,
-        },
-        {
-            "dt": POSITIVE,
-            "skip": {"0"},
-            "wrapped": {"None"},
-            "units": PAIR,
-        },
-        {"columns": ["units"], "wrapped": ["columns"]},
-    ),
     "write_channels": Call(
         elsewhere(pmf.write_channels, FOLDER.name),
         {"channels": MEASURED, "path": Path(FOLDER.name) / "written.csv"},
         {"channels": SEVERAL - {"channels without names"}},
         more=MORE,
-    ),
-    "read_matrices": Call(pmf.read_matrices, {"path": MATRICES}),
-    "datasets.mini_shake_table": Call(
-        pmf.datasets.mini_shake_table,
-        {"event": "northridge"},
-        instead={"pymc_features.datasets._fetch": work},
     ),
     "synthetic_earthquake": Call(
         pmf.synthetic_earthquake,
@@ -178,29 +151,6 @@ CALLS = {
             "envelope": {"None"},
         },
     ),
-    "CloughPenzien": Call(
-        CloughPenzien,
-        {"omega_g": 15.0, "zeta_g": 0.6, "omega_f": 1.5, "zeta_f": 0.6},
-        {"omega_g": POSITIVE, "zeta_g": POSITIVE, "omega_f": POSITIVE | {"None"}, "zeta_f": POSITIVE},
-    ),
-    "AminAng": Call(
-        AminAng,
-        {"rise_time": 1.0, "strong_time": 1.0, "end_level": 0.05},
-        {
-            "rise_time": NOT_NEGATIVE | {"None"},
-            "strong_time": NOT_NEGATIVE | {"None"},
-        },
-    ),
-    "signals.band_pass": Call(
-        pmf.signals.band_pass,
-        {"channels": MEASURED, "low": 0.5, "high": 5.0, "order": 2},
-        {
-            "channels": WELL,
-            "low": {"None", "1.5"},
-            "high": {"None", "1.5"},
-        },
-        more=MORE,
-    ),
     "signals.check_channels": Call(
         pmf.signals.check_channels,
         {"channels": MEASURED, "band": (0.5, 2.0), "base": None, "damping_ratio": 0.02},
@@ -210,34 +160,6 @@ CALLS = {
             "base": {"None"},
         },
         more=MORE,
-    ),
-    "signals.correct": Call(
-        pmf.signals.correct,
-        {"channels": MEASURED, "scale": None, "delay": None},
-        {"channels": SEVERAL, "scale": {"None", "-1.0", *POSITIVE}, "delay": {"None"}},
-        more=MORE,
-    ),
-    "signals.decimate": Call(
-        pmf.signals.decimate,
-        {"channels": MEASURED, "factor": 2},
-        {"channels": WELL},
-        more=MORE,
-    ),
-    "signals.detrend": Call(
-        pmf.signals.detrend,
-        {"channels": MEASURED, "kind": "linear", "window": None},
-        {"channels": WELL, "window": {"None", *PAIR}},
-        more=MORE,
-    ),
-    "signals.low_frequency_gains": Call(
-        pmf.signals.low_frequency_gains,
-        {"channels": MEASURED, "band": (0.5, 2.0), "base": "base"},
-        {"channels": SEVERAL - {"channels without names"}, "band": PAIR, "base": {"None"}},
-        {"channels": ["base"]},
-        more=MORE,
-    ),
-    "signals.sampling_step": Call(
-        pmf.signals.sampling_step, {"channels": MEASURED}, {"channels": WELL}, more=MORE
     ),
     "signals.trim": Call(
         pmf.signals.trim,

@@ -25,9 +25,6 @@ TAKEN = {
     "correlation_time": SCALE,
     "dt": POSITIVE | SCALARS,
 }
-BATCHES = {"three dimensions"}
-OF_DIST = TAKEN | {name: SCALE | BATCHES for name in ("sigma", "m", "correlation_time")}
-OF_DIST |= {"mu": ARRAYS | {"three dimensions"}}
 
 
 def simulate(theta):
@@ -61,38 +58,9 @@ CALLS = {
         coords=COORDS | {"time": range(100)},
         instead={"pymc_features.ambient.response.warn_at_start": work},
     ),
-    "spectral_response": Call(
-        pmf.spectral_response,
-        {
-            "structure": CHAIN,
-            "excitation": 1.0,
-            "forces": "dofs",
-            "sensors": None,
-            "outputs": None,
-            "n_modes": None,
-            "quantity": "acceleration",
-        },
-        {
-            "excitation": SCALE | BATCHES,
-            "sensors": {"None", "0"},
-            "outputs": {"None"},
-            "n_modes": {"None"},
-        },
-    ),
     "TruncNormalFeature": Call(pmf.TruncNormalFeature, NAMED | {"density": "data"}, TAKEN, coords=COORDS),
-    "ExpFeature": Call(pmf.ExpFeature, NAMED | {"density": "data"}, TAKEN, coords=COORDS),
-    "GammaFeature": Call(pmf.GammaFeature, NAMED | {"m": 3.0, "density": "data"}, TAKEN, coords=COORDS),
     "CorrelatedNormal": Call(
         pmf.CorrelatedNormal, NAMED | {"correlation_time": 1.0, "dt": 0.1}, TAKEN, coords=COORDS
-    ),
-    "TruncNormalFeature.dist": Call(
-        pmf.TruncNormalFeature.dist, {"mu": MU, "sigma": 1.0, "density": "data"}, OF_DIST
-    ),
-    "GammaFeature.dist": Call(
-        pmf.GammaFeature.dist, {"mu": MU, "sigma": 1.0, "m": 3.0, "density": "data"}, OF_DIST
-    ),
-    "CorrelatedNormal.dist": Call(
-        pmf.CorrelatedNormal.dist, {"mu": MU, "sigma": 1.0, "correlation_time": 1.0, "dt": 0.1}, OF_DIST
     ),
     "DiscrepancySimulator": Call(
         pmf.DiscrepancySimulator,
@@ -115,11 +83,6 @@ CALLS = {
         },
         positional=("name", "mu", "params"),
         coords=COORDS,
-    ),
-    "sigma_mpv": Call(
-        pmf.sigma_mpv,
-        {"e": [1.0, 2.0]},
-        {"e": {"three dimensions", *NUMERIC}},
     ),
     "abc_tolerance": Call(
         pmf.abc_tolerance,

@@ -7,8 +7,8 @@ import pymc as pm
 
 import pymc_features as pmf
 from support.border import Call, work
-from support.calls.files import FOLDER, MEASURED, ODD_CHANNELS, SEVERAL, elsewhere
-from support.calls.structures import CHAIN, SCALARS, TAKEN
+from support.calls.files import FOLDER, MEASURED, ODD_CHANNELS, SEVERAL
+from support.calls.structures import SCALARS
 from support.odd_values import NUMBERS, PAIR, POSITIVE, TEXTS
 
 TABLE = Path(FOLDER.name) / "modes.csv"
@@ -31,25 +31,6 @@ CALLS = {
         {"channels": MEASURED, "bands": [0.3, 2.0], "n_modes": None, "quantity": "acceleration"},
         {"bands": NUMERIC, "n_modes": {"None"}, "channels": WITHOUT_GAPS},
         instead={"pymc_features.ambient.identify.of_band": work},
-        more={"channels": ODD_CHANNELS},
-    ),
-    "propose_bands": Call(
-        pmf.propose_bands,
-        {"channels": MEASURED, "highest": None},
-        {"highest": {"None", *POSITIVE}, "channels": WITHOUT_GAPS},
-        instead={"pymc_features.ambient.identify.averaged_spectra": work},
-        more={"channels": ODD_CHANNELS},
-    ),
-    "plot_singular_values": Call(
-        pmf.plot_singular_values,
-        {"channels": MEASURED, "bands": [0.3, 2.0], "frequencies": [1.0], "fitted": None},
-        {
-            "bands": {"None"} | PAIR,
-            "frequencies": {"None", "[]", *NUMERIC},
-            "channels": WITHOUT_GAPS,
-            "fitted": {"None"},
-        },
-        instead={"pymc_features.plots.spectra.checked_axes": work},
         more={"channels": ODD_CHANNELS},
     ),
     "ModalData": Call(
@@ -76,24 +57,6 @@ CALLS = {
             "name": TEXTS | NUMBERS,
         },
         {"shapes": ["channels"], "channels": ["shapes"]},
-    ),
-    "merge_setups": Call(
-        pmf.merge_setups,
-        {
-            "setups": [MODAL, MODAL],
-            "references": ["floor", "roof"],
-            "frequency_tolerance": 0.05,
-            "least_mac": 0.8,
-        },
-        {
-            "references": {"None"},
-            "least_mac": FRACTIONS,
-        },
-        {"references": ["channels"]},
-    ),
-    "mac": Call(
-        pmf.mac,
-        {"shapes": SHAPES, "others": SHAPES},
     ),
     "match_modes": Call(
         pmf.match_modes,
@@ -134,20 +97,5 @@ CALLS = {
         {"observed": ["frequencies"]},
         coords={},
         instead={"pymc_features.modal_features.feature.warn_at_start": str},
-    ),
-    "modes": Call(
-        pmf.modes,
-        {"structure": CHAIN, "n_modes": None, "sensors": None, "outputs": None},
-        TAKEN,
-    ),
-    "write_modal": Call(
-        elsewhere(pmf.write_modal, FOLDER.name),
-        {"modal": pmf.ModalData([1.0, 2.0]), "path": TABLE.with_name("written.csv")},
-        {},
-    ),
-    "read_modal": Call(
-        pmf.read_modal,
-        {"source": TABLE, "names": None, "channels": None, "real": True},
-        {"names": {"None"}, "channels": {"None"}, "real": {"True"}},
     ),
 }

@@ -8,7 +8,7 @@ import xarray as xr
 
 import pymc_features as pmf
 from support.border import Call, work
-from support.odd_values import PAIR, POSITIVE, TEXTS
+from support.odd_values import POSITIVE, TEXTS
 
 with pm.Model() as MODEL:
     X = pm.Normal("x")
@@ -96,13 +96,7 @@ RUN |= {"executor": None}
 WORKERS = {"pymc_features.smc.workers.workers.open_executor": work}
 
 CALLS = {
-    "PopulationIMH": kernel(pmf.PopulationIMH, correlation_threshold=0.01),
-    "PopulationMH": kernel(pmf.PopulationMH, correlation_threshold=0.01),
-    "TMCMC": kernel(pmf.TMCMC, threshold=..., scale=0.2, coefficient_of_variation=1.0),
     "PersistentSMC": kernel(pmf.PersistentSMC, reference=None, gradients=False, stage_draws=None),
-    "SubsetSimulation": kernel(
-        pmf.SubsetSimulation, threshold=..., p0=0.2, stage_draws=None, epsilon=None, max_simulations=None
-    ),
     "sample_smc": Call(
         pmf.sample_smc,
         {**RUN, "kernel": pmf.PersistentSMC, "model": MODEL},
@@ -118,45 +112,11 @@ CALLS = {
             "pymc_features.inference.sample.remembered": work,
         },
     ),
-    "sample_nuts": Call(
-        pmf.sample_nuts,
-        {
-            "draws": 100,
-            "tune": 100,
-            "chains": 2,
-            "particles": IDATA,
-            "sample_settings": None,
-            "model": MODEL,
-            "nuts_sampler": "pymc",
-            "random_seed": 1,
-        },
-        TAKEN | {"chains": set()},
-        instead={"pymc_features.inference.nuts.pick": work, "pymc_features.inference.nuts.sample": work},
-        more={"particles": ODD_TREES},
-    ),
     "laplace": Call(
         pmf.laplace,
         {"draws": 100, "model": MODEL, "start": {"x": 1.0}, "random_seed": 1, "compile_kwargs": None},
         TAKEN | {"start": DICTS},
         instead={"pymc_features.inference.laplace.Unconstrained": work},
-    ),
-    "compiled_logp": Call(
-        pmf.compiled_logp,
-        {"model": MODEL, "compile_kwargs": None},
-        TAKEN,
-        instead={"pymc_features.inference.compiled.CompiledLogp": work},
-    ),
-    "fisher_information": Call(
-        pmf.fisher_information,
-        {"model": MODEL, "point": {"x": 1.0}},
-        TAKEN,
-        instead={"pymc_features.inference.fisher.product_function": work},
-    ),
-    "tolerance_sweep": Call(
-        pmf.tolerance_sweep,
-        {"epsilon": [1.0, 2.0], "model": SIMULATED, "draws": 100, "probability": 0.9, "random_seed": 1},
-        TAKEN | {"epsilon": POSITIVE | PAIR},
-        instead={"pymc_features.inference.tolerance.sample_smc": work},
     ),
     "emulate": Call(
         pmf.emulate,
@@ -188,26 +148,5 @@ CALLS = {
         TAKEN | {"draws": {"None"}, "model_error": {"None"}, "base_noise": {"None", *POSITIVE}},
         instead={"pymc_features.calibration.calibrate.Predictions": work},
         more={"idata": ODD_TREES},
-    ),
-    "effective_samples": Call(
-        pmf.effective_samples,
-        {"source": IDATA, "model": MODEL, "random_seed": 1},
-        TAKEN,
-        {"source": ["model"]},
-        instead={"pymc_features.calibration.effective.Predictions": work},
-        more={"source": ODD_TREES},
-    ),
-    "fill_degrees": Call(
-        pmf.fill_degrees,
-        {"model": MODEL, "random_seed": 1},
-        TAKEN,
-        instead={"pymc_features.calibration.effective.degrees_of": work},
-    ),
-    "event_check": Call(
-        pmf.event_check,
-        {"events": [IDATA, IDATA], "var_names": ["x"], "probability": 0.9},
-        TAKEN,
-        {"events": ["var_names"]},
-        more={"events": {name: [IDATA, tree] for name, tree in ODD_TREES.items()}},
     ),
 }
