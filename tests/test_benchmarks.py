@@ -54,40 +54,6 @@ def test_routes_agree(benchmarks, case):
         evaluation.check("wrong", reference * (1.0 + 1e-8), reference)
 
 
-@pytest.mark.slow
-def test_jax_has_the_likelihood_of_the_posteriors(benchmarks):
-    """That of the samplers by JAX is the package's own."""
-    from benchmarks.jax_model import log_likelihood
-    from benchmarks.problem import Problem
-
-    problem = Problem()
-    for theta, sigma in ((1.0, 0.1), (0.8, 0.3)):
-        value = float(log_likelihood(problem)(theta, sigma))
-        assert abs(value - problem.log_likelihood(theta, sigma)) < 1e-9 * abs(value)
-
-
-@pytest.mark.slow
-def test_other_tools_agree(benchmarks):
-    """Those that are installed compute the e_j of the same structures, and not of others."""
-    from benchmarks.case import build, record_of_length
-    from benchmarks.structures import kernels, population, structures, with_peers
-
-    case, found, absent = build(record_of_length(60), particles=3, n_dof=3), {}, set()
-    for name, structure in structures(case).items():
-        given = population(structure, case)
-        calls, differences, missing = with_peers(name, given)
-        found, absent = found | differences, absent | missing
-        if name == "coupled damping":
-            label = "coupled damping: JAX, matrix exponential and scan"
-            other = kernels(population(structures(case)["LinearStructure"], case))["value"]()
-            assert abs(calls[label]() / other - 1.0).max() > 1e-3
-    rough = {label: own for label, own in found.items() if "OpenSees" in label}
-    assert len(found) - len(rough) == 7 - 2 * ("diffrax" in absent)
-    assert max(own for label, own in found.items() if label not in rough) < 1e-4
-    assert max(rough.values(), default=0.0) < 0.3
-    assert absent <= {"diffrax", "openseespy"}
-
-
 def test_command_line_says_what_it_does():
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks", "--help"], capture_output=True, text=True, cwd=ROOT

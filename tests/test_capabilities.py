@@ -140,7 +140,7 @@ CAPABILITIES = {  # file: what a user can do: the test
         "sampling: SubsetSimulation": "test_draws_are_those_of_rejection",
     },
     "inference/test_inference.py": {
-        "sampling: sample_nuts": "test_ten_springs_by_nuts_from_particles",
+        "sampling: sample_nuts": "test_nuts_is_the_exact_posterior",
         "sampling: laplace": "test_laplace_is_exact_for_a_gaussian",
         "sampling: fisher_information": "test_fisher_of_a_regression_is_exact",
     },

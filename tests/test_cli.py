@@ -105,7 +105,7 @@ def started(command):
 @pytest.mark.processes
 @pytest.mark.parametrize(
     ("module", "presses"),
-    [("argparse", 1), ("rich.console", 2), ("numpy", 1), ("numba", 2), ("pytensor", 1), ("pymc", 2)],
+    [("argparse", 1), ("numpy", 1), ("pymc", 2)],
 )
 def test_interrupts_while_importing(module, presses, tmp_path):
     """From what is imported first to PyMC, which takes seconds: one line, and a second press is too late."""
@@ -187,14 +187,11 @@ def test_a_second_interrupt_ends_what_is_slow_to_stop(where, tmp_path):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("name", ["update", "reproduce"])
-def test_two_interrupts_while_sampling(name, record_file, tmp_path, capsys):
+def test_two_interrupts_while_sampling(tmp_path, capsys):
     """One right after the other: the second comes while the program stops, or while Python ends."""
     out = tmp_path / "out"
-    command = arguments(record_file, out, "--draws", "4000")
-    if name == "update":
-        assert cli.main(["init", str(tmp_path / "a.toml"), "--synthetic"]) == 0
-        command = ["update", str(tmp_path / "a.toml"), "--out", str(out), "--cores", "1"]
+    assert cli.main(["init", str(tmp_path / "a.toml"), "--synthetic"]) == 0
+    command = ["update", str(tmp_path / "a.toml"), "--out", str(out), "--cores", "1"]
     process = started([sys.executable, "-m", "pymc_features.cli", *command])
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and not list(out.glob("parts")):

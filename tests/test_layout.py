@@ -200,10 +200,10 @@ def violations(path: Path, unit: str) -> list[str]:
     return wrong
 
 
-@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT)))
-def test_import_rule(path):
-    assert unit_of(path) in set(ALLOWED) | ANYTHING, "a new unit needs a line in ALLOWED"
-    assert violations(path, unit_of(path)) == []
+def test_import_rule():
+    for path in sorted(ROOT.rglob("*.py")):
+        assert unit_of(path) in set(ALLOWED) | ANYTHING, "a new unit needs a line in ALLOWED"
+        assert violations(path, unit_of(path)) == [], path
 
 
 def test_import_rule_can_fail(tmp_path):
@@ -285,13 +285,6 @@ def test_exceptions_live_in_one_module():
         assert named == (set(pymc_features.exceptions.__all__) if path.name == "exceptions.py" else set())
 
 
-@pytest.mark.slow
-def test_slow_modules_are_not_imported_with_the_package():
-    slow = ["jax", "matplotlib", "scipy.signal", "arviz"]
-    code = f"import sys, pymc_features.public; print([m for m in {slow} if m in sys.modules])"
-    assert run(sys.executable, "-c", code).strip() == "[]"
-
-
 def test_the_command_imports_little_before_it_answers_to_ctrl_c():
     """And so does the package, before a name of it is asked for."""
     slow = ["numpy", "rich", "argparse", "multiprocessing", "pymc_features.public", "pymc"]
@@ -311,10 +304,16 @@ def test_names_are_imported_when_they_are_asked_for():
         assert pmf.Record is records.Record and pmf.read_record and pmf.read_modal
         assert not {"pymc", "pytensor", "arviz", "pandas", "xarray"} & {*sys.modules}
         assert pmf.response and "pymc" in sys.modules
+        assert not {"jax", "matplotlib", "scipy.signal", "arviz"} & {*sys.modules}
         assert pmf.io.__name__ == "pymc_features.io"
         assert set(dir(pmf)) >= {*pmf.__all__, "records"}
         from pymc_features import *
         assert sample is pmf.inference.sample
+        import pymc
+        with pymc.Model():
+            pymc.Normal("y", pymc.Normal("x"), 1.0, observed=1.0)
+            sample_smc(20, chains=1, cores=1, progressbar=False)
+        assert "jax._src" not in sys.modules  # as SciPy's logsumexp would wake it, for seconds
     """
     run(sys.executable, "-c", code)
 

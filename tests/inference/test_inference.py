@@ -108,60 +108,6 @@ def test_map_is_the_exact_one(kind, example):
     assert found["sigma"] == pytest.approx(sigma, rel=0.02)
 
 
-# --------------------------------------------------------------------------- ten springs
-
-
-@pytest.fixture(scope="module")
-def ten_springs(record):
-    """All ten springs unknown, EXP: SMC, then NUTS."""
-    measured = pmf.simulate(paper.chain(1.0), record).values
-    measured = measured + 0.05 * measured.std() * np.random.default_rng(3).normal(size=measured.shape)
-    with pm.Model() as model:
-        k = pm.Lognormal("k", 0.0, 0.1, shape=10)
-        sigma = pm.HalfNormal("sigma", 0.5)
-        chain = pmf.SpringMassChain(
-            np.ones(10), 1800.0 * k, pmf.RayleighDamping(alpha=0.2265, beta=6.7515e-4)
-        )
-        pmf.ExpFeature("y", mu=pmf.response(chain, record), sigma=sigma, observed=measured)
-    particles = pmf.sample_smc(400, model=model, chains=4, **ONE, **QUIET)
-    with pytensor.config.change_flags(mode="Mode"):
-        return particles, pmf.sample_nuts(300, tune=200, model=model, particles=particles, **ONE, **QUIET)
-
-
-def standard_errors(idata, kind):
-    """Means or standard deviations (parameter,) over all chains, and their errors by the scatter of chains.
-
-    In units of the posterior's standard deviation the errors are taken to be equal for all, so that
-    they are known well.
-    """
-    posterior = idata["posterior"].to_dataset()
-    draws = np.concatenate([posterior["k"].values, posterior["sigma"].values[..., None]], axis=-1)
-    of_chains = getattr(draws, kind)(axis=1)
-    sd = draws.std(axis=(0, 1))
-    scatter = np.sqrt(np.mean(of_chains.var(axis=0, ddof=1) / sd**2) / len(draws))
-    return of_chains.mean(axis=0), scatter * sd
-
-
-@pytest.mark.statistical
-def test_ten_springs_by_nuts_from_particles(ten_springs):
-    """R-hat below 1.02, 400 effective draws of 1200 on four chains, and the marginals of SMC.
-
-    Means and standard deviations of eleven marginals within 4.5 Monte Carlo standard errors: a false alarm
-    in 6000. Negative control: the standard deviations of the prior are further away.
-    """
-    particles, idata = ten_springs
-    assert idata["posterior"].attrs["max_r_hat"] < 1.02
-    ess = az.ess(idata["posterior"].to_dataset())
-    assert float(ess["k"].min()) > 400
-    assert float(ess["sigma"]) > 400
-    for kind in ("mean", "std"):
-        first, first_error = standard_errors(particles, kind)
-        second, second_error = standard_errors(idata, kind)
-        assert (np.abs(first - second) / np.hypot(first_error, second_error)).max() < 4.5, kind
-        if kind == "std":
-            assert (np.abs(stats.lognorm(0.1).std() - second[:10]) / second_error[:10]).min() > 4.5
-
-
 # --------------------------------------------------------------------------- NUTS from particles
 
 

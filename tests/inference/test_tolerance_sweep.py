@@ -1,8 +1,5 @@
 """tolerance_sweep: intervals against exact ones, and tolerances out of reach."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pymc as pm
 import pytest
@@ -78,21 +75,6 @@ def test_sweep_saves(sweep, tmp_path):
 def test_refusals(model, arguments, error, match):
     with pytest.raises(error, match=match):
         tolerance_sweep(**({"epsilon": [0.2], "model": model, "draws": 200} | QUIET | arguments))
-
-
-@pytest.mark.slow
-def test_sampling_does_not_import_jax():
-    """ArviZ registers JAX as a lazy module; SciPy's logsumexp would wake it, seconds in every process."""
-    code = (
-        "import sys, types, arviz, numpy as np, pymc as pm, pymc_features as pmf\n"
-        "with pm.Model():\n"
-        "    x = pm.Normal('x')\n"
-        "    pm.Normal('y', x, 1.0, observed=[1.0])\n"
-        "    pmf.sample_smc(100, chains=1, cores=1, progressbar=False)\n"
-        "assert 'jax._src' not in sys.modules\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
 
 
 def test_names_of_the_result_are_no_parameters():

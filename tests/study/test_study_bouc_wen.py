@@ -190,11 +190,3 @@ def test_stopped_run_continues_with_the_same_structure_only(folder, capsys):
     error = capsys.readouterr().err
     assert "`out` must be empty or hold the same study" in error
     assert "structure = 'bouc-wen' instead of None" in error
-
-
-def test_default_folder_names_the_structure():
-    parse = make_parser().parse_args
-    assert cli.default_folder(parse(["reproduce"])) == "reproduce-output"
-    assert cli.default_folder(parse(["reproduce", "--quick"])) == "reproduce-output-quick"
-    options = parse(["reproduce", "--structure", "bouc-wen", "--quick"])
-    assert cli.default_folder(options) == "reproduce-output-bouc-wen-quick"
