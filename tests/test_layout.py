@@ -160,14 +160,21 @@ PUBLIC_NAMES = [
 
 
 @functools.cache
+def nodes_of(path: Path) -> list[ast.AST]:
+    """Syntax of a file: a node before those inside."""
+    return list(ast.walk(ast.parse(path.read_text())))
+
+
+@functools.cache
 def imports_of(path: Path) -> set[str]:
     """Names of modules a file imports, at any depth of its code, but not for its annotations alone."""
-    found, tree = set(), ast.parse(path.read_text())
-    for node in ast.walk(tree):
+    found, annotations = set(), set()
+    for node in nodes_of(path):
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            node.body = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
+            annotations |= {*node.body}
+        elif node in annotations:
+            continue
+        elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             assert node.level == 0, f"{path}: relative import"
@@ -280,7 +287,7 @@ def test_public_names():
 def test_exceptions_live_in_one_module():
     """All that is raised or warned of by a name of ours, and nothing else of it anywhere."""
     for path in ROOT.rglob("*.py"):
-        kinds = {n.name for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ClassDef)}
+        kinds = {n.name for n in nodes_of(path) if isinstance(n, ast.ClassDef)}
         named = {name for name in kinds if name.endswith(("Error", "Warning"))}
         assert named == (set(pymc_features.exceptions.__all__) if path.name == "exceptions.py" else set())
 
@@ -318,9 +325,8 @@ def test_names_are_imported_when_they_are_asked_for():
     run(sys.executable, "-c", code)
 
 
-def grouped_arguments(source: str) -> list[int]:
+def grouped_arguments(nodes) -> list[int]:
     """Lines with a tuple that is written only to be unpacked: `*(a, b), *(c, d)`."""
-    nodes = ast.walk(ast.parse(source))
     return [n.lineno for n in nodes if isinstance(n, ast.Starred) and isinstance(n.value, ast.Tuple)]
 
 
@@ -331,12 +337,13 @@ def test_files_stay_small():
 
 def test_arguments_are_not_grouped():
     """A call may be long; its arguments are not bundled to make it look shorter."""
-    found = {str(path.relative_to(ROOT)): grouped_arguments(path.read_text()) for path in ROOT.rglob("*.py")}
+    found = {str(path.relative_to(ROOT)): grouped_arguments(nodes_of(path)) for path in ROOT.rglob("*.py")}
     assert {name: lines for name, lines in found.items() if lines} == {}
 
 
 def test_grouped_arguments_are_found():
-    assert grouped_arguments("f(\n    *(a, b),\n    *c,\n    *(x for x in d),\n)") == [2]
+    source = "f(\n    *(a, b),\n    *c,\n    *(x for x in d),\n)"
+    assert grouped_arguments(ast.walk(ast.parse(source))) == [2]
 
 
 @pytest.mark.parametrize("arguments", [["check"], ["format", "--check"]], ids=" ".join)
@@ -349,7 +356,7 @@ FEW = 9
 
 def test_functions_have_few_parameters():
     for path in ROOT.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes_of(path):
             if isinstance(node, ast.FunctionDef):
                 names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
                 count = len(names) - (names[:1] in (["self"], ["cls"]))

@@ -78,16 +78,6 @@ def test_logcdf_of_the_feature_with_its_tails(likelihood):
     assert evaluate(likelihood, "feature", "logcdf", np.zeros((1, 3)), sigma, np.zeros((1, 3))) == -np.inf
 
 
-@pytest.mark.parametrize("n_times", [1, 6, 400])
-def test_tn_is_the_conventional_likelihood_over_the_number_of_samples(n_times):
-    """TN = NORM / N_D + ln 2, whatever theta and sigma; EXP = NORM 2 / N_D only without its sigma."""
-    for seed in range(5):
-        mu, data, sigma = random_data(seed, n_times=n_times)
-        norm = stats.norm(mu, sigma[:, None]).logpdf(data).mean(axis=-1)
-        ours = evaluate(TruncNormalFeature, "feature", "logp", mu, sigma, data).squeeze()
-        np.testing.assert_allclose(ours, norm + np.log(2.0), rtol=1e-10)
-
-
 @EVERY_FEATURE
 @pytest.mark.parametrize("density", ["feature", "data"])
 def test_failed_response_and_scale_give_minus_infinity(likelihood, density):

@@ -42,13 +42,6 @@ def test_responses_and_discrepancies(simulator):
     assert repr(s) == "ExternalSimulator(beam, shape=(2, 5))"
 
 
-def test_array_parameters(simulator):
-    s = simulator(functions.two)
-    a, b = np.array([1.0, 2.0]), np.array([[1.0, 3.0], [4.0, 5.0]])
-    np.testing.assert_array_equal(s.responses(a, b), [functions.two(*p) for p in zip(a, b, strict=True)])
-    np.testing.assert_array_equal(s.responses(a, b[:1])[1], functions.two(a[1], b[0]))  # one for all
-
-
 @pytest.fixture(scope="module")
 def chain_case():
     """A small chain of the package, and the same by matrix exponentials in other processes."""
@@ -82,15 +75,6 @@ def test_densities_are_those_of_the_response(likelihood, chain_case):
     np.testing.assert_allclose(values[1][1], values[0][1], rtol=1e-8)
     np.testing.assert_allclose(steps[1], steps[0], rtol=1e-8)
     assert not values[1][2].any()
-
-
-def test_the_whole_population_is_one_batch(simulator, monkeypatch):
-    s = simulator()
-    sizes = []
-    monkeypatch.setattr(s, "discrepancies", lambda *p, observed: sizes.append(len(p[0])) or np.ones((7, 2)))
-    model = model_of("TN", s, DATA)
-    population_logp(model, model.initial_point(), {})(np.zeros((7, 2)))
-    assert sizes == [7]
 
 
 @pytest.mark.slow

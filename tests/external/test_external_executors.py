@@ -10,7 +10,6 @@ import pytensor
 import pytest
 
 from pymc_features import ExternalSimulator, PopulationIMH, TruncNormalFeature, sample_smc
-from pymc_features.exceptions import NoWorkersError
 from support import external_functions as functions
 from support.external_functions import DATA, SHAPE, Counted, beam, lives, wait_until
 from support.sampling import QUIET
@@ -97,11 +96,3 @@ def test_stopping_kills_what_runs_there(client, tmp_path):
         simulator.responses(np.arange(1.0, 9.0))
     wait_until(lambda: not any(map(lives, path.read_text().split())))
     assert len(path.read_text().splitlines()) == 2
-
-
-def test_a_client_that_is_closed(client):
-    simulator = on(client)
-    simulator.responses(np.ones(1))
-    client.close()
-    with pytest.raises(NoWorkersError, match="`executor` must run simulations, got .* is closed"):
-        simulator.responses(np.array([2.0]))

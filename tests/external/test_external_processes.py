@@ -57,14 +57,6 @@ def test_retries(simulator, tmp_path):
     assert s.counts["died"] == 0
 
 
-def test_output_does_not_disturb(simulator, capfd):
-    s = simulator(functions.talkative)
-    np.testing.assert_array_equal(s.responses(np.array([1.0, 2.0])), [beam(1.0), beam(2.0)])
-    assert capfd.readouterr().out == ""
-    [[process]] = [calls._IDLE[digest] for digest in s.evaluator._digests]
-    assert 0 < os.fstat(process.log.fileno()).st_size < 1000  # of the last call only
-
-
 def test_a_function_that_cannot_be_loaded(simulator):
     s = simulator(BrokenElsewhere())
     with pytest.raises(UnusableSimulatorError, match="must be loadable in another process.*ImportError"):
@@ -200,24 +192,6 @@ def test_scratch_folders(where, simulator, tmp_path, monkeypatch):
     assert list(own.iterdir()) == []
     s.close()
     assert list(inside.iterdir()) == []
-
-
-def test_scratch_folder_of_a_killed_simulation(simulator, tmp_path):
-    s = simulator(functions.ways_to_fail, scratch=tmp_path / "scratch", timeout=0.3)
-    s.responses(np.array([7.0, 8.0]))
-    assert s.counts["died"] == s.counts["timeout"] == 1
-    assert list((tmp_path / "scratch").iterdir()) == []
-    process = run_forked(hang_in_scratch, tmp_path)
-    wait_until(lambda: list((tmp_path / "scratch").glob("*/simulation-*")))
-    os.kill(process.pid, signal.SIGKILL)
-    process.join()
-    wait_until(lambda: not list((tmp_path / "scratch").iterdir()))
-
-
-def hang_in_scratch(folder):
-    """A simulation that does not end, in a scratch folder."""
-    s = ExternalSimulator(Hanging(folder / "pids"), SHAPE, scratch=folder / "scratch", progress=False)
-    s.responses(np.ones(1))
 
 
 def test_progress_lines(capsys, monkeypatch):

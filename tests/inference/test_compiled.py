@@ -80,12 +80,6 @@ def test_one_point_and_many_and_a_copy_agree(density, cube):
     assert density.from_unit_cube(cube[0]).shape == (7,)
 
 
-def test_the_edge_of_the_cube_and_impossible_points_do_not_raise(density):
-    edges = density.from_unit_cube(np.array([np.zeros(7), np.ones(7)]))
-    assert not np.isnan(density.log_posterior(edges)).any()
-    assert np.all(np.isfinite(density.log_likelihood(np.full((2, 7), np.nan))))
-
-
 @pytest.mark.parametrize(
     ("call", "error", "says"),
     [

@@ -136,24 +136,6 @@ def test_more_modes_than_climbs_find_are_said():
         pmf.sample(200, model=model, chains=1, **QUIET)
 
 
-@pytest.mark.slow
-def test_no_modes_are_counted_where_the_density_has_none():
-    """Centred eight schools: the density grows without bound as their scatter falls, so that climbs stop on
-    slopes, each somewhere else."""
-    errors = np.array([15.0, 10.0, 16.0, 11.0, 9.0, 11.0, 10.0, 18.0])
-    with pm.Model() as model:
-        centre = pm.Normal("centre", 0.0, 5.0)
-        scatter = pm.HalfCauchy("scatter", 5.0)
-        school = pm.Normal("school", centre, scatter, shape=8)
-        pm.Normal("y", school, errors, observed=[28.0, 8.0, -3.0, 7.0, -1.0, 1.0, 18.0, 12.0])
-    idata = quietly(200, model=model, chains=1, random_seed=5)
-    found = idata["sample_stats"].attrs
-    assert found["n_modes"] == 0
-    assert found["single_climbs"] == 0.0
-    assert np.isnan(found["laplace_error"])
-    assert "modes" not in idata.children
-
-
 def test_runs_that_disagree_and_heavy_weights_are_said():
     """The sentences, from numbers as they would be."""
     from pymc_features.inference.sample import advice
@@ -279,13 +261,3 @@ def test_it_starts_again_with_larger_stages_where_all_particles_fell_on_one(monk
     idata = pmf.sample(100, model=discrete(), chains=2, **QUIET)
     assert asked == [None, 800, 3200]
     assert idata["posterior"].sizes["draw"] == 100
-
-
-@pytest.mark.slow
-def test_it_gives_up_after_three_starts(monkeypatch):
-    def fails(*args, **settings):
-        raise NoSpreadError("the particles of a stage must differ in every parameter, got a variance of 0.")
-
-    monkeypatch.setattr(module, "sample_smc", fails)
-    with pytest.raises(ValueError, match="must differ in every parameter, got a variance of 0"):
-        pmf.sample(100, model=discrete(), chains=2, **QUIET)

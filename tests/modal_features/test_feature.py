@@ -264,15 +264,6 @@ def test_density_is_continuous_where_modes_cross(coupling, half_width):
         assert jumps[1] > 0.9 * jumps[0] > 5.0 * coarse
 
 
-def test_the_order_of_the_measured_modes_means_nothing():
-    theta = pt.vector("theta", shape=(1,))
-    found = modes(column(theta, 0.5), 4)
-    swapped = {k: v[::-1] for k, v in MEASURED.items()}
-    one, other = (log_likelihoods(found, d, sigma_f=0.02, sigma_phi=0.2) for d in (MEASURED, swapped))
-    for x in (0.8, 0.97, 1.03, 1.2):
-        np.testing.assert_allclose(one.eval({theta: [x]}), other.eval({theta: [x]})[::-1], rtol=1e-13)
-
-
 # --------------------------------------------------------------------------- draws
 
 

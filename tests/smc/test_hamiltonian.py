@@ -193,35 +193,6 @@ def test_a_wrong_acceptance_is_found(target):
     assert smallest_probability(target, chains) < 1e-2 * FALSE_ALARM
 
 
-def test_trajectories_go_back():
-    """From the end with the velocity turned round, to where they began."""
-    target, rng = Gaussian(), np.random.default_rng(3)
-    x = target.draw(5, rng)
-    hamiltonian = Hamiltonian()
-    hamiltonian.fit(target.draw(200, rng))
-
-    class Fixed:
-        def __init__(self, velocity):
-            self.velocity = velocity
-
-        def uniform(self, low, high):
-            return high
-
-        def standard_normal(self, shape):
-            return self.velocity.copy()
-
-    def all_of(x):
-        return np.zeros(len(x)), target.logp(x), target.logp(x), target.gradient(x)
-
-    start = rng.standard_normal(x.shape)
-    there = hamiltonian.propose(x, target.gradient(x), target.logp(x), all_of, Fixed(start))
-    back = hamiltonian.propose(there.x, there.slope, there.log_ratio, all_of, Fixed(-there.velocity))
-    np.testing.assert_allclose(back.x, x, atol=1e-12)
-    np.testing.assert_allclose(back.velocity, -start, atol=1e-12)
-    np.testing.assert_allclose(back.log_moves, -there.log_moves, atol=1e-12)
-    assert np.abs(there.x - x).max() > 0.5
-
-
 # --------------------------------------------------------------------------- in the kernel
 
 
@@ -261,15 +232,6 @@ def test_posterior_and_evidence_of_a_ring():
     assert mean_within_errors([r.draws[:, 0].mean() for r in runs])
     shares = [max(s["hamiltonian_share"] for s in r.stages) for r in runs]
     assert sum(share > 0.1 for share in shares) >= 6, "others may do without chains: their fits are good"
-
-
-@pytest.mark.usefixtures("by_gradients")
-def test_a_seed_gives_the_same_particles():
-    first, second = (run_chain(PersistentSMC, ring(), 200, 3, gradients=True) for _ in range(2))
-    assert (first.draws == second.draws).all()
-    names = ("hamiltonian_share", "gradients", "evaluations", "beta")
-    assert [[s[n] for n in names] for s in first.stages] == [[s[n] for n in names] for s in second.stages]
-    assert sum(s["gradients"] for s in first.stages) > 0
 
 
 @pytest.mark.slow

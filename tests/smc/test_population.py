@@ -143,13 +143,6 @@ def test_same_particles_as_pymc(build, ours, pymcs):
     )
 
 
-def test_another_seed_gives_other_particles():
-    """The comparison above would notice."""
-    model = gaussian()
-    with pytest.raises(AssertionError):
-        assert_same(sample(model, IMH), sample(model, PopulationIMH, random_seed=6), rtol=1e-3)
-
-
 def test_data_of_another_length_need_no_new_evaluation():
     model = data()
     before = PopulationIMH(60, model=model).logp

@@ -24,7 +24,7 @@ from pymc_features import (
     TruncNormalFeature,
     response,
 )
-from pymc_features.exceptions import CheckpointError, NotDifferentiableError, PopulationWarning
+from pymc_features.exceptions import NotDifferentiableError, PopulationWarning
 from pymc_features.ops import PopulationGradient, StructuralResponse
 from pymc_features.smc import KERNELS, population_logp
 from pymc_features.smc.density import evaluation, rows
@@ -387,18 +387,6 @@ def never(*args, **kwargs):
     raise AssertionError("compiled again")
 
 
-def test_copies_share_what_one_of_them_compiles(monkeypatch):
-    """Chains one after the other in this process, each with a copy of the kernel."""
-    model = eight_schools()
-    logp = evaluation.PopulationLogp(model, model.initial_point(), {})
-    one, other = (cloudpickle.loads(cloudpickle.dumps(logp)) for _ in range(2))
-    one.compile_gradient()
-    monkeypatch.setattr(rows, "compile_function", never)
-    assert logp.with_rng(np.random.default_rng(1)) is logp
-    other.compile_gradient()
-    assert one.slopes is other.slopes is logp.slopes
-
-
 def gradient_in_child(sent, particles, queue):
     """Put the gradients, or the error."""
     rows.compile_function = never
@@ -478,16 +466,3 @@ def test_journals_replay_gradients(tmp_path, monkeypatch, cut):
     assert (again.evaluations, again.gradients) == (12, 12)
     again.journal.close()
     assert path.read_bytes() == whole
-
-
-def test_values_are_no_gradients(tmp_path):
-    """A run that asks for the other of both is another run."""
-    model = eight_schools()
-    particles = prior_particles(model, n=6)
-    kernel = kernel_in(tmp_path, model)
-    kernel.evaluate_gradient(particles)
-    kernel.journal.close()
-    again = kernel_in(tmp_path, model)
-    with pytest.raises(CheckpointError, match="must be intact, got a wrong sum"):
-        again.evaluate(particles)
-    again.journal.close()

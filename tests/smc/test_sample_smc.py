@@ -1,10 +1,8 @@
 """Runs of `pm.sample_smc` with our kernels: what they report, refuse and save; and models with simulators."""
 
-import inspect
 import os
 import warnings
 
-import arviz as az
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
@@ -20,7 +18,6 @@ from pymc_features import (
     PersistentSMC,
     PopulationIMH,
     PopulationMH,
-    SubsetSimulation,
     sample_smc,
 )
 from pymc_features.exceptions import PopulationWarning
@@ -99,22 +96,7 @@ def test_zarr(saved, tmp_path):
         xr.testing.assert_equal(loaded.load(), idata)
 
 
-def test_arviz_reads_it(saved):
-    _, idata = saved
-    summary = az.summary(idata)
-    assert set(summary.index) >= {"s", "x[a]", "x[c]", "total"}
-    assert np.isfinite(summary["mean"].astype(float)).all()
-
-
 # --------------------------------------------------------------------------- the function
-
-
-def test_default_kernel_is_persistent(model):
-    one = sample_smc(60, model=model, chains=2, random_seed=1, **SERIAL)
-    other = sample_smc(60, PersistentSMC, model=model, chains=2, random_seed=1, **SERIAL)
-    xr.testing.assert_equal(one["posterior"].dataset, other["posterior"].dataset)
-    assert one.posterior.sizes["draw"] == 60
-    assert "stage_draws" in one.sample_stats.attrs
 
 
 def test_inside_a_model_and_as_many_chains_as_cores():
@@ -126,11 +108,6 @@ def test_inside_a_model_and_as_many_chains_as_cores():
 def test_multitrace_is_refused(model):
     with pytest.raises(ValueError, match="`return_inferencedata` must be True, got False. Use pm.sample_smc"):
         sample_smc(60, model=model, return_inferencedata=False)
-
-
-def test_settings_reach_the_kernel(model):
-    idata = sample_smc(60, model=model, chains=1, random_seed=1, stage_draws=200, threshold=0.9, **SERIAL)
-    assert (idata.sample_stats.attrs["stage_draws"], idata.sample_stats.attrs["threshold"]) == (200, 0.9)
 
 
 # --------------------------------------------------------------------------- statistics of stages
@@ -236,15 +213,6 @@ def test_start_replaces_the_prior_draws(kernel, model):
     assert idata.posterior.sizes["draw"] == 40
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_smallest_runs(kernel, model):
-    """Two draws are few, not an error."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        idata = sample_smc(2, kernel, model=model, chains=1, random_seed=1, **SERIAL)
-    assert np.isfinite(idata.posterior["x"]).all()
-
-
 # --------------------------------------------------------------------------- simulators
 
 
@@ -302,15 +270,6 @@ def test_a_plain_simulator_is_called_for_each_particle():
     assert not kernel.logp.batched
 
 
-def test_a_plain_function_is_called_inside_one_evaluation():
-    """DiscrepancySimulator takes batches for it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", PopulationWarning)
-        logp = PopulationIMH(50, model=discrepancy(shelf)).logp
-    assert logp.batched
-    assert np.isfinite(logp(np.array([[0.1], [0.2], [-0.3]]))[1]).all()
-
-
 @pytest.mark.parametrize(("build", "function"), CASES)
 def test_a_marked_simulator_is_called_for_all(build, function):
     """What the warning says does what it says, without a warning: the same draws from one call for all."""
@@ -353,15 +312,6 @@ def test_each_particle_and_call_has_its_own_noise():
     streams = [logp.with_rng(np.random.default_rng(seed))(np.zeros((20, 1)))[1] for seed in (1, 2, 1)]
     assert not np.isin(streams[0], streams[1]).any()
     np.testing.assert_array_equal(streams[0], streams[2])
-
-
-@pytest.mark.parametrize("kernel", [*KERNELS, SubsetSimulation])
-def test_signatures_of_kernels_say_what_they_take(kernel):
-    known = inspect.signature(kernel).parameters
-    assert {"draws", "model", "random_seed"} <= set(known)
-    assert not any(p.kind is p.VAR_POSITIONAL for p in known.values())
-    with pytest.raises(TypeError, match="threshhold"):
-        kernel(20, model=pm.Model(), threshhold=0.5)
 
 
 def threads_of_blas():

@@ -17,7 +17,7 @@ from pymc_features import (
     sample_smc,
     simulate,
 )
-from pymc_features.exceptions import PopulationWarning, SubsetSimulationWarning, ToleranceNotReachedError
+from pymc_features.exceptions import SubsetSimulationWarning, ToleranceNotReachedError
 from pymc_features.smc.kernels.levels import Levels
 from support.refusals import refusals
 from support.sampling import QUIET, mean_within_errors
@@ -70,17 +70,6 @@ def test_report_of_a_run(tmp_path, monkeypatch):
     idata.to_netcdf(tmp_path / "result.nc", engine="h5netcdf")
     with xr.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as loaded:
         xr.testing.assert_equal(loaded.load(), idata)
-
-
-def test_edge_belongs_to_the_tolerance():
-    """Whole numbers: rho = epsilon is inside, for stock distances, too, where a division would round."""
-    with pm.Model() as model:
-        k = pm.DiscreteUniform("k", 0, 60)
-        pm.Simulator("y", lambda rng, k, size: np.full(21, k), k, signature="()->(21)",
-                     distance="laplace", epsilon=42.0, observed=np.zeros(21))  # fmt: skip
-    with pytest.warns(PopulationWarning):
-        idata = sample(model, 600)
-    assert set(np.unique(idata.posterior["k"])) == {0, 1, 2}
 
 
 PULSE = noise_record(100)
@@ -144,16 +133,6 @@ def test_unreachable_tolerance_stalls():
     )
     with pytest.raises(ToleranceNotReachedError, match=match):
         sample(unreachable())
-
-
-@pytest.mark.parametrize("budget", [200, 201, 350, 700, 1500])
-def test_budget_is_kept(budget):
-    """Counted by the function; one more call is that of the compilation."""
-    seen = []
-    match = r"and the smallest rho 2\.\d+. Increase `epsilon`, or `max_simulations`, which are spent"
-    with pytest.raises(ToleranceNotReachedError, match=match):
-        sample(unreachable(seen), 200, stage_draws=200, max_simulations=budget)
-    assert budget - 200 < sum(seen) - 1 <= budget
 
 
 @pytest.mark.processes
@@ -285,10 +264,3 @@ def test_refusals(build, settings, match):
     model = ball(2, 0.01) if build is None else build()
     with pytest.raises(ValueError, match=match):
         SubsetSimulation(**{"draws": 100, "model": model, **settings})
-
-
-def test_too_few_first_particles_are_refused():
-    """Levels of a handful would have no shape, and its evidence no meaning."""
-    model = ball(2, 0.01)
-    with pytest.raises(ValueError, match="`start` must hold 20 draws from the prior or more, got 5"):
-        sample(model, start={"x_interval__": np.zeros((5, 2))})
