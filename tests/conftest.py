@@ -3,6 +3,7 @@
 import functools
 import gc
 import os
+import re
 import socket
 import sys
 from pathlib import Path
@@ -39,8 +40,10 @@ RUNS = {"finished", "updated"}  # fixtures that wait for a whole run, which take
 LAST = ["test_jax.py", "test_pages.py", "test_recipes.py", "test_notebooks.py", "test_reference.py"]
 
 
-KERNELS = "simulators", "ops", "test_benchmarks.py"  # whose tests compile most kernels
-FEW_KERNELS = "io", "identification", "signals", "modal", "test_layout.py", "test_odd_arguments.py"
+KERNELS = "simulators", "dynamics", "ops"  # whose tests compile most kernels
+YIELDING = re.compile("cyclic|hysteretic|nonlinear|spans|springs|taylor")  # few parts in common
+FEW_KERNELS = {"io", "identification", "signals", "modal", "external", "events", "emulation", "umbridge"}
+FEW_KERNELS |= {"test_layout.py", "test_odd_arguments.py", "test_cli.py", "test_packaging.py"}
 
 
 def of(path, names):
@@ -52,7 +55,7 @@ def of(path, names):
 def pytest_collection_modifyitems(items):
     """What is quick, and the order of the tests: kernels first, to compile them for the others.
 
-    Meanwhile another worker runs tests that need few. So workers end together.
+    Two workers share them; the next to come runs tests that need few. So workers end together.
     """
 
     def place(item):
@@ -116,7 +119,8 @@ def pytest_runtest_protocol(item):
 def pytest_xdist_make_scheduler(config, log):
     """Files stay on one worker, for the sake of their fixtures; each notebook goes to any.
 
-    Those that compile kernels stay on one, since kernels have parts that no other worker then translates.
+    Those that compile kernels stay on one, and those of springs that yield on another: kernels have parts
+    that no other worker then translates.
     """
     from xdist.scheduler import LoadFileScheduling
 
@@ -124,7 +128,7 @@ def pytest_xdist_make_scheduler(config, log):
         def _split_scope(self, nodeid):
             path = Path(nodeid.split("::")[0])
             if of(path, KERNELS) and path.name not in LAST:
-                return "kernels"
+                return "kernels of springs" if YIELDING.search(path.stem) else "kernels"
             return nodeid if "::test_notebook_runs[" in nodeid else super()._split_scope(nodeid)
 
     return Scheduling(config, log)

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 import pytest
 
@@ -159,30 +160,47 @@ PUBLIC_NAMES = [
 ]
 
 
-@functools.cache
-def nodes_of(path: Path) -> list[ast.AST]:
-    """Syntax of a file: a node before those inside."""
-    return list(ast.walk(ast.parse(path.read_text())))
+class Facts(NamedTuple):
+    """What a file imports, its classes, its grouped arguments, and its functions with their parameters."""
+
+    imports: set[str]
+    classes: set[str]
+    grouped: list[int]
+    functions: dict[str, list[str]]
 
 
 @functools.cache
-def imports_of(path: Path) -> set[str]:
-    """Names of modules a file imports, at any depth of its code, but not for its annotations alone."""
-    found, annotations = set(), set()
-    for node in nodes_of(path):
+def facts_of(path: Path) -> Facts:
+    """At any depth of its code; imports for annotations alone do not count."""
+    return facts_in(path.read_text(), path)
+
+
+def facts_in(source: str, path="<text>") -> Facts:
+    """Facts of a source; `*(a, b), *(c, d)` are tuples that are written only to be unpacked."""
+    found, annotations = Facts(set(), set(), [], {}), set()
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             annotations |= {*node.body}
-        elif node in annotations:
-            continue
-        elif isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
+        elif isinstance(node, ast.Import) and node not in annotations:
+            found.imports.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and node not in annotations:
             assert node.level == 0, f"{path}: relative import"
-            if node.module == "pymc_features":
-                found |= {f"pymc_features.{alias.name}" for alias in node.names}
-            else:
-                found.add(node.module)
+            ours = node.module == "pymc_features"
+            names = {f"pymc_features.{alias.name}" for alias in node.names} if ours else {node.module}
+            found.imports.update(names)
+        elif isinstance(node, ast.ClassDef):
+            found.classes.add(node.name)
+        elif isinstance(node, ast.Starred) and isinstance(node.value, ast.Tuple):
+            found.grouped.append(node.lineno)
+        elif isinstance(node, ast.FunctionDef):
+            names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+            found.functions[f"{node.name}, line {node.lineno}"] = names
     return found
+
+
+def imports_of(path: Path) -> set[str]:
+    """Names of modules that a file imports."""
+    return facts_of(path).imports
 
 
 def unit_of(path: Path) -> str:
@@ -287,8 +305,7 @@ def test_public_names():
 def test_exceptions_live_in_one_module():
     """All that is raised or warned of by a name of ours, and nothing else of it anywhere."""
     for path in ROOT.rglob("*.py"):
-        kinds = {n.name for n in nodes_of(path) if isinstance(n, ast.ClassDef)}
-        named = {name for name in kinds if name.endswith(("Error", "Warning"))}
+        named = {name for name in facts_of(path).classes if name.endswith(("Error", "Warning"))}
         assert named == (set(pymc_features.exceptions.__all__) if path.name == "exceptions.py" else set())
 
 
@@ -325,11 +342,6 @@ def test_names_are_imported_when_they_are_asked_for():
     run(sys.executable, "-c", code)
 
 
-def grouped_arguments(nodes) -> list[int]:
-    """Lines with a tuple that is written only to be unpacked: `*(a, b), *(c, d)`."""
-    return [n.lineno for n in nodes if isinstance(n, ast.Starred) and isinstance(n.value, ast.Tuple)]
-
-
 def test_files_stay_small():
     for path in ROOT.rglob("*.py"):
         assert path.read_text().count("\n") <= 600, f"{path.name}: is there a second concept inside?"
@@ -337,13 +349,13 @@ def test_files_stay_small():
 
 def test_arguments_are_not_grouped():
     """A call may be long; its arguments are not bundled to make it look shorter."""
-    found = {str(path.relative_to(ROOT)): grouped_arguments(nodes_of(path)) for path in ROOT.rglob("*.py")}
+    found = {str(path.relative_to(ROOT)): facts_of(path).grouped for path in ROOT.rglob("*.py")}
     assert {name: lines for name, lines in found.items() if lines} == {}
 
 
 def test_grouped_arguments_are_found():
     source = "f(\n    *(a, b),\n    *c,\n    *(x for x in d),\n)"
-    assert grouped_arguments(ast.walk(ast.parse(source))) == [2]
+    assert facts_in(source).grouped == [2]
 
 
 @pytest.mark.parametrize("arguments", [["check"], ["format", "--check"]], ids=" ".join)
@@ -356,11 +368,9 @@ FEW = 9
 
 def test_functions_have_few_parameters():
     for path in ROOT.rglob("*.py"):
-        for node in nodes_of(path):
-            if isinstance(node, ast.FunctionDef):
-                names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
-                count = len(names) - (names[:1] in (["self"], ["cls"]))
-                assert count <= FEW, f"{path.name}: {node.name} has {count} parameters"
+        for function, names in facts_of(path).functions.items():
+            count = len(names) - (names[:1] in (["self"], ["cls"]))
+            assert count <= FEW, f"{path.name}: {function} has {count} parameters"
 
 
 def public_functions(place: str, value) -> Iterator[tuple[str, Callable]]:

@@ -14,6 +14,7 @@ import pymc_features as pmf
 from pymc_features.exceptions import NoSpreadError
 from pymc_features.inference import beside
 from pymc_features.smc.density.evaluation import PopulationLogp
+from support.populations import discrete
 from support.sampling import log_add
 
 module = import_module("pymc_features.inference.sample")
@@ -153,13 +154,6 @@ def test_runs_that_disagree_and_heavy_weights_are_said():
     assert "differ by 1.00, more than" in advice(fine, np.array([0.0, 1.0]), errors, idata)
     few = advice(fine | {"ess": 20.0, "undetermined": "a with b"}, np.zeros(2), errors, idata)
     assert few.endswith("narrower priors to what the data do not determine (a with b).")
-
-
-def discrete():
-    with pm.Model() as model:
-        n = pm.Poisson("n", 3.0)
-        pm.Normal("y", n, 1.0, observed=4.0)
-    return model
 
 
 def simulator():

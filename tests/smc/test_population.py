@@ -29,6 +29,7 @@ from pymc_features.smc import KERNELS, PopulationLogp
 from pymc_features.smc.density import rows
 from pymc_features.smc.density.evaluation import population_logp
 from support.graphs import REWRITTEN
+from support.populations import discrete, points_of, potential, prior_particles
 from support.sampling import SERIAL
 from support.structures import noise_record, with_noise
 
@@ -70,22 +71,6 @@ def many_variables():
         d = pm.Normal("d", 0.0, 0.5, shape=(2, 3))
         e = pm.Dirichlet("e", np.ones(3))
         pm.Normal("y", a + c[:, None] + d * e, b, observed=np.arange(6.0).reshape(2, 3) / 3)
-    return model
-
-
-def discrete():
-    with pm.Model() as model:
-        k = pm.Poisson("k", 3.0)
-        x = pm.Normal("x")
-        pm.Normal("y", k + x, 0.5, observed=4.0)
-    return model
-
-
-def potential():
-    with pm.Model() as model:
-        x = pm.Normal("x", shape=2)
-        pm.Potential("ring", -((pt.sum(x**2) - 2.0) ** 2))
-        pm.Normal("y", x[0], 0.5, observed=1.0)
     return model
 
 
@@ -198,24 +183,11 @@ def test_parallel_chains_give_the_same_draws(sequential, default_mode, mp_ctx):
 # --------------------------------------------------------------------------- the evaluation
 
 
-def prior_particles(model, n=40, spread=1.0, seed=0):
-    """Draws from the prior, moved about, (n, d), with the points they stand for."""
-    kernel = PopulationIMH(n, model=model, random_seed=seed)
-    particles = kernel.initial_particles(n)
-    return particles + spread * np.random.default_rng(seed).normal(size=particles.shape)
-
-
 def one_by_one(model, particles):
     """Log prior and log-likelihood by `model.compile_fn`, -inf where it refuses or is not finite."""
     function = model.compile_fn([model.varlogp, model.datalogp], on_unused_input="ignore")
-    shapes = {name: np.shape(value) for name, value in model.initial_point().items()}
     rows = []
-    for row in particles:
-        parts = np.split(row, np.cumsum([int(np.prod(s)) for s in shapes.values()])[:-1])
-        point = {name: part.reshape(s) for (name, s), part in zip(shapes.items(), parts, strict=True)}
-        for v in model.value_vars:
-            if v.dtype.startswith("int"):
-                point[v.name] = np.round(point[v.name]).astype(v.dtype)
+    for point in points_of(model, particles):
         try:
             rows.append(function(point))
         except ParameterValueError:

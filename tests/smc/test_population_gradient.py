@@ -29,8 +29,10 @@ from pymc_features.ops import PopulationGradient, StructuralResponse
 from pymc_features.smc import KERNELS, population_logp
 from pymc_features.smc.density import evaluation, rows
 from support import external_functions as functions
+from support import populations
 from support.families import CASES, measured
 from support.graphs import our_ops_of
+from support.populations import discrete, points_of, potential
 
 CLOSE = {"rtol": 1e-9, "atol": 1e-9}
 
@@ -46,13 +48,6 @@ def eight_schools():
         mu, tau = pm.Normal("mu", 0.0, 5.0), pm.HalfCauchy("tau", 5.0)
         eta = pm.Normal("eta", shape=8)
         pm.Normal("y", mu + tau * eta, error, observed=effect)
-    return model
-
-
-def potential():
-    with pm.Model() as model:
-        x = pm.Normal("x", shape=2)
-        pm.Potential("ring", -((pt.sum(x**2) - 2.0) ** 2))
     return model
 
 
@@ -123,40 +118,27 @@ def structural(name, likelihood="TN", prior=factors):
     return model
 
 
+prior_particles = functools.partial(populations.prior_particles, n=12, spread=0.3)
+
+
 def evaluation_of(model, **settings):
     return population_logp(model, model.initial_point(), settings)
 
 
-def prior_particles(model, n=12, spread=0.3):
-    """Draws from the prior, moved about (n, d)."""
-    particles = PopulationIMH(n, model=model, random_seed=0).initial_particles(n)
-    return particles + spread * np.random.default_rng(0).normal(size=particles.shape)
-
-
-def points_of(model, particles):
-    """The same particles as PyMC's points."""
-    shapes = {name: np.shape(value) for name, value in model.initial_point().items()}
-    ends = np.cumsum([int(np.prod(s)) for s in shapes.values()])[:-1]
-    return [
-        {n: part.reshape(s) for (n, s), part in zip(shapes.items(), np.split(row, ends), strict=True)}
-        for row in particles
-    ]
-
-
-def one_by_one(model, particles):
+def gradients_one_by_one(model, particles):
     """Gradients of log prior and log-posterior (n, d): the latter is what `compile_dlogp` compiles."""
     slopes = [gradient(model.varlogp, model.value_vars), model.dlogp()]
     function = model.compile_fn(slopes, on_unused_input="ignore")
     return np.array([function(p) for p in points_of(model, particles)]).swapaxes(0, 1)
 
 
-def compare(model, particles, close=1e-9):
+def compare_gradients(model, particles, close=1e-9):
     """The evaluation, whose values are those of a call and whose gradients those of PyMC."""
     logp = evaluation_of(model)
     prior, likelihood, failed, grad_prior, grad_likelihood = logp.gradient(particles)
     for got, expected in zip((prior, likelihood, failed), logp(particles), strict=True):
         np.testing.assert_allclose(got, expected, **CLOSE)
-    exact_prior, exact = one_by_one(model, particles)
+    exact_prior, exact = gradients_one_by_one(model, particles)
     scale = 1.0 + abs(exact).max(axis=1, keepdims=True)
     np.testing.assert_allclose(grad_prior / scale, exact_prior / scale, **CLOSE)
     np.testing.assert_allclose((grad_prior + grad_likelihood) / scale, exact / scale, rtol=close, atol=close)
@@ -168,7 +150,7 @@ def compare(model, particles, close=1e-9):
 @pytest.mark.parametrize("build", ANY_MODEL)
 def test_any_model(build):
     model = build()
-    logp = compare(model, prior_particles(model))
+    logp = compare_gradients(model, prior_particles(model))
     assert logp.slopes.batched and logp.why_no_gradient == ""
 
 
@@ -178,7 +160,7 @@ def test_every_family_of_structures(name):
     """In one call of an Op of the population, without a response; of nonlinear chains with other steps."""
     model = structural(name)
     close = 3e-6 if name in ("hysteretic", "duffing") else 1e-9
-    logp = compare(model, prior_particles(model, spread=0.05), close)
+    logp = compare_gradients(model, prior_particles(model, spread=0.05), close)
     assert logp.slopes.batched
     ops = our_ops_of(logp.slopes.function)
     assert PopulationGradient in ops and StructuralResponse not in ops
@@ -188,7 +170,7 @@ def test_every_family_of_structures(name):
 @pytest.mark.parametrize("likelihood", [name for name in LIKELIHOODS if name != "TN"])
 def test_every_likelihood(likelihood):
     model = structural("chain", likelihood)
-    logp = compare(model, prior_particles(model, spread=0.05))
+    logp = compare_gradients(model, prior_particles(model, spread=0.05))
     assert logp.slopes.batched
     assert (StructuralResponse in our_ops_of(logp.slopes.function)) == (likelihood == "of a changed response")
 
@@ -291,12 +273,6 @@ def test_numerical_errors_are_alone_and_failures(batched, mode):
 # --------------------------------------------------------------------------- models without a gradient
 
 
-def discrete():
-    with pm.Model() as model:
-        pm.Normal("y", pm.Poisson("k", 3.0), 1.0, observed=2.0)
-    return model
-
-
 def stock_simulator():
     with pm.Model() as model:
         pm.Simulator("s", lambda rng, x, size: x, pm.Normal("x"), epsilon=1.0, observed=[1.0])
@@ -376,7 +352,7 @@ def test_external_programs():
                 TruncNormalFeature("y", mu, pm.HalfNormal("s"), observed=functions.DATA)
             models.append(model)
         assert evaluation_of(models[0]).why_no_gradient == "an external simulator without `gradient` has none"
-        logp = compare(models[1], prior_particles(models[1], n=4))
+        logp = compare_gradients(models[1], prior_particles(models[1], n=4))
         assert logp.batched and not logp.slopes.batched
 
 

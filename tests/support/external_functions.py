@@ -152,13 +152,6 @@ class FailsAtFirst:
         return beam(k)
 
 
-def talkative(k):
-    """Prints, at first a lot, by itself and by a program."""
-    print("a line of output\n" * (20000 if k == 1.0 else 2))
-    subprocess.run(["echo", "output of a program"], check=True)
-    return beam(k)
-
-
 def curious(k):
     """Says where it runs and what it finds there, leaves a file behind; (2, 5) numbers."""
     found = len(os.listdir())
