@@ -388,3 +388,11 @@ def test_bad_parameters(likelihood, kwargs, match):
 def test_unknown_density(likelihood):
     with pytest.raises(ValueError, match="`density` must be one of feature, data, got 'features'"):
         declare(likelihood, np.zeros((3, 5)), 1.0, density="features")
+
+
+def test_sensors_and_draws_are_independent(sample):
+    """Rank correlation of the radii, false-alarm rate 1e-3 each."""
+    _, mu, _, draws = sample
+    radius = np.linalg.norm(draws - mu, axis=-1)
+    assert stats.spearmanr(radius[:, 0], radius[:, 1]).pvalue > 1e-3
+    assert stats.spearmanr(radius[1:, 0], radius[:-1, 0]).pvalue > 1e-3

@@ -1,5 +1,7 @@
 """Emulators of external simulators: against closed forms, and posteriors against quadrature."""
 
+import warnings
+
 import numpy as np
 import pymc as pm
 import pytest
@@ -276,3 +278,13 @@ def test_what_cannot_be_emulated():
         pm.Normal("y", simulator(never, (1, 4))(pm.Normal("x")), 1.0, observed=np.zeros((1, 4)))
     with pytest.raises(RuntimeError, match="8 of 8 simulations failed, too many to go on: no licence"):
         emulate(model=model, progressbar=False)
+
+
+def test_far_out_in_a_prior_it_says_nothing(emulator):
+    """No warning of NumPy's, and no finite number that could be taken for a prediction."""
+    x = np.array([[1.5, 0.2], [1e150, 1e150], [2.0, 1e300]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        e = emulator.discrepancies(*emulator.predict(x), oscillators(2.0, 0.3))
+    assert np.isfinite(e[0]).all()
+    assert not (e[1:] < 1e6).any()

@@ -297,3 +297,17 @@ def test_what_comes_in_from_other_modes_is_none():
     assert len(found) == 4 and (abs(found.frequencies - exact) < 5.0 * found.frequency_sd).all()
     with pytest.warns(AmbientWarning, match="lies at the edge of its band"):
         assert len(pmf.identify_modes(channels, [[1.735, 1.95]], n_modes=1)) == 1
+
+
+def test_a_machine_that_hardly_shows_is_no_mode_either():
+    """Too low to be taken off: as narrow as a single frequency, and left out unless `n_modes` says so."""
+    measured = channels([2.0], [0.01], [[1.0, 2.0]], 600.0, 8, noise=0.1)
+    measured = measured + 0.03 * np.sin(2.0 * np.pi * 1.0003 * measured["time"])
+    bands = [[0.9, 1.1], [1.8, 2.2]]
+    match = "the mode at 0.9998 Hz is no wider .*a longer record"
+    with pytest.warns(AmbientWarning, match=match + ". It is left out; say by `n_modes` that it is one.$"):
+        assert pmf.identify_modes(measured, bands).frequencies.size == 1
+    noise = 0.1 * np.random.default_rng(1).standard_normal(measured.shape)
+    alone = measured.copy(data=noise + 0.014 * np.sin(2.0 * np.pi * 1.0003 * measured["time"].values))
+    with pytest.warns(AmbientWarning, match="no wider .* take a longer record.$"):
+        assert pmf.identify_modes(alone, bands[0], n_modes=1).frequencies.size == 1

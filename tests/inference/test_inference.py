@@ -456,3 +456,24 @@ def test_arguments_that_pm_sample_does_not_know_are_refused_before_sampling():
         TypeError, match=r"sample_nuts\(\) must be .* got 'target_acept'. Did you mean 'target_acc"
     ):
         pmf.sample_nuts(model=model, target_acept=0.9)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_laplace_of_a_mode_whose_weight_underflows():
+    with pm.Model() as model:
+        x = pm.Normal("x", 0.0, 10.0)
+        peaks = [height - 12.5 * (x - m) ** 2 for height, m in [(0.0, -6.0), (1000.0, 5.0)]]
+        pm.Potential("peaks", log_add(*peaks))
+    idata = pmf.laplace(200, model=model, random_seed=1)
+    assert idata["modes"]["weight"].values.max() == 1.0
+    assert float(idata["posterior"]["x"].min()) > 0.0
+
+
+def test_laplace_of_a_model_with_a_dimension_mode():
+    with pm.Model(coords={"mode": [1, 2, 3]}) as model:
+        zeta = pm.Lognormal("zeta", -4.0, 0.5, dims="mode")
+        pm.Normal("y", pm.math.log(zeta), 0.1, observed=[-4.0, -4.5, -5.0])
+    idata = pmf.laplace(50, model=model, random_seed=1)
+    assert idata["posterior"]["zeta"].dims == ("chain", "draw", "mode")
+    assert idata["modes"]["zeta"].dims == ("posterior_mode", "mode")
+    assert idata["modes"]["weight"].dims == ("posterior_mode",)

@@ -477,3 +477,35 @@ def test_a_random_tolerance_is_refused(pulse, measured):
         pm.Simulator("y", lambda rng, x, size: x, x, epsilon=epsilon, observed=[0.0])
     with pytest.raises(TypeError, match="`epsilon` of y must be a number.* depends on random variables"):
         SubsetSimulation(300, model=model)
+
+
+def test_a_solver_may_use_its_array_again():
+    """Each result counts, not the last one many times."""
+    work = np.zeros(2)
+
+    def solver(x):
+        work[:] = x
+        return work
+
+    with pm.Model() as model:
+        x = pm.Normal("x", shape=2)
+        DiscrepancySimulator("y", solver, x, epsilon=0.5, observed=np.zeros(2))
+    kernel = SubsetSimulation(300, model=model, random_seed=1)
+    particles = np.array([[0.1, 0.2], [3.0, 1.0], [0.0, 0.5]])
+    np.testing.assert_allclose(-kernel.logp(particles)[1], (particles**2).sum(axis=1))
+
+
+def test_summary_counts_each_entry_once():
+    data = np.array([1.0, 2.5, 2.0])
+    with pm.Model() as model:
+        theta = pm.Uniform("theta", *PRIOR)
+        DiscrepancySimulator(
+            "y",
+            lambda k: np.sqrt(k) * np.arange(1, 4),
+            theta,
+            epsilon=0.5,
+            observed=data,
+            kernel="exponential",
+        )
+    exact = np.square(np.sqrt(1.2) * np.array([1, 2, 3]) - data).sum()
+    assert log_likelihood(model)(1.2) == pytest.approx(-exact / 0.5 - 3 * np.log(0.5), rel=1e-12)

@@ -1,5 +1,6 @@
 """Samplers that are killed and go on: the same particles, nothing evaluated twice, wrong journals refused."""
 
+import json
 import multiprocessing
 import os
 import signal
@@ -406,3 +407,13 @@ def test_models_and_kernels_that_cannot_go_on(tmp_path):
         sample(model, checkpoint=tmp_path)
     with pytest.raises(TypeError, match="`checkpoint` must be left out for MH, which has none"):
         sample(model, pm.smc.MH, checkpoint=tmp_path)
+
+
+def test_the_seed_is_remembered(tmp_path):
+    model = model_of(InProcess())
+    first, _ = sample(model, random_seed=None, checkpoint=tmp_path, chains=2)
+    again, _ = sample(model, random_seed=None, checkpoint=tmp_path, chains=None)
+    np.testing.assert_array_equal(first, again)
+    known = json.loads((tmp_path / "seed.json").read_text())
+    explicit, _ = sample(model, random_seed=known["random_seed"][0], chains=2)
+    np.testing.assert_array_equal(first, explicit)

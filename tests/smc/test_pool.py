@@ -7,7 +7,7 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from pymc_features.smc.proposals import pool as pool_module
-from pymc_features.smc.proposals.mixture import equal_draws, next_beta
+from pymc_features.smc.proposals.mixture import equal_draws, next_beta, pareto_tail
 from pymc_features.smc.proposals.pool import QUANTILES, Pool
 
 
@@ -202,3 +202,9 @@ def test_equal_draws_are_systematic():
     chosen = equal_draws(weights, 1000, np.random.default_rng(1))
     assert np.abs(np.bincount(chosen, minlength=50) - 1000 * weights).max() < 1.0
     assert abs(stats.spearmanr(np.arange(1000), chosen).statistic) < 0.15
+
+
+def test_a_tail_of_hundreds_of_orders_raises_no_warning():
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        shape, scale = pareto_tail(np.exp(np.linspace(-690.0, 0.0, 4000)))
+    assert shape > 1.0 and scale > 0.0

@@ -418,3 +418,10 @@ def test_other_normals_are_left_alone(mean, sigma):
     exact = stats.norm.logpdf(measured(), mean(simulate(chain(1.1), PULSE).values), sigma()).sum()
     assert float(model.compile_fn(model.datalogp)({"theta": 1.1})) == pytest.approx(exact, rel=1e-10)
     compare(model, prior_particles(model, spread=0.1))
+
+
+def test_another_seed_gives_other_particles():
+    """The comparison above would notice."""
+    model = gaussian()
+    with pytest.raises(AssertionError):
+        assert_same(sample(model, IMH), sample(model, PopulationIMH, random_seed=6), rtol=1e-3)

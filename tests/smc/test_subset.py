@@ -17,7 +17,7 @@ from pymc_features import (
     sample_smc,
     simulate,
 )
-from pymc_features.exceptions import SubsetSimulationWarning, ToleranceNotReachedError
+from pymc_features.exceptions import PopulationWarning, SubsetSimulationWarning, ToleranceNotReachedError
 from pymc_features.smc.kernels.levels import Levels
 from support.refusals import refusals
 from support.sampling import QUIET, mean_within_errors
@@ -70,6 +70,17 @@ def test_report_of_a_run(tmp_path, monkeypatch):
     idata.to_netcdf(tmp_path / "result.nc", engine="h5netcdf")
     with xr.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as loaded:
         xr.testing.assert_equal(loaded.load(), idata)
+
+
+def test_edge_belongs_to_the_tolerance():
+    """Whole numbers: rho = epsilon is inside, for stock distances, too, where a division would round."""
+    with pm.Model() as model:
+        k = pm.DiscreteUniform("k", 0, 60)
+        pm.Simulator("y", lambda rng, k, size: np.full(21, k), k, signature="()->(21)",
+                     distance="laplace", epsilon=42.0, observed=np.zeros(21))  # fmt: skip
+    with pytest.warns(PopulationWarning):
+        idata = sample(model, 600)
+    assert set(np.unique(idata.posterior["k"])) == {0, 1, 2}
 
 
 PULSE = noise_record(100)
