@@ -104,13 +104,12 @@ def quick_mode(all_rewrites):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
-    """Tests, and their fixtures, compile quickly; `default_mode` as users do, and so does the README."""
+    """Tests, and their fixtures, compile quickly; examples and `default_mode` as users do."""
     import pytensor
 
-    if item.get_closest_marker("default_mode"):
+    if isinstance(item, pytest.DoctestItem) or item.get_closest_marker("default_mode"):
         return (yield)
     all_rewrites = any(item.get_closest_marker(name) for name in ("all_rewrites", "statistical"))
-    all_rewrites |= isinstance(item, pytest.DoctestItem)  # whose digits are printed
     with pytensor.config.change_flags(mode=quick_mode(all_rewrites)):
         return (yield)
 

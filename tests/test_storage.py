@@ -14,7 +14,7 @@ from pymc_features.storage import PartStore, remove_parts
 from pymc_features.study.sampling_rate import seed_in
 from support.mutations import mutated
 
-MUTATIONS = 60  # of each file
+MUTATIONS = 20  # of each file
 SETTINGS = {"draws": 100, "random_seed": 3, "multipliers": [0.5, 1.0], "record": "pulse"}
 NAMES = "NORM_x1", "TN_x1"
 JSON = ["", "[]", "null", "3", '"draws"', "[[]]", "{}", '{"draws": 100}', "{" * 10**5, "[" * 10**5, "\udcff"]

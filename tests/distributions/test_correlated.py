@@ -76,8 +76,8 @@ def random_data(seed, n_sensors=3, n_times=40):
 # --------------------------------------------------------------------------- density
 
 
-@pytest.mark.parametrize("ratio", [1e-3, 0.02, 0.3, 1.0, 4.0, 50.0, 1e3])
-@pytest.mark.parametrize("n_times", [1, 2, 3, 40, 300])
+@pytest.mark.parametrize("ratio", [1e-3, 0.3, 4.0, 1e3])
+@pytest.mark.parametrize("n_times", [1, 2, 40, 300])
 def test_density_against_a_dense_covariance(ratio, n_times):
     """tau / dt from white to nearly constant errors; another correlation time is the negative control."""
     mu, data, sigma = random_data(n_times, n_times=n_times)

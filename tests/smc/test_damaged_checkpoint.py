@@ -13,7 +13,7 @@ from pymc_features.smc.kernels.checkpoint import read_json, remembered
 from support.mutations import mutated
 from support.sampling import QUIET
 
-MUTATIONS = 40  # of each file
+MUTATIONS = 12  # of each file
 OTHER_JSON = [
     "",
     "[]",
