@@ -351,3 +351,18 @@ def test_abc_tolerance_of_a_posterior():
 def test_abc_tolerance_refuses(sigma, n_sensors, error, match):
     with pytest.raises(error, match=match):
         abc_tolerance(sigma, n_sensors)
+
+
+def test_names_in_print(updated):
+    likelihood, model, _ = updated
+    assert f"y ~ {likelihood.__name__}(f(theta), sigma" in model.str_repr()
+    assert f"\\operatorname{{{likelihood.__name__}}}" in model.str_repr(formatting="latex")
+
+
+def test_graphviz(updated):
+    graphviz = pytest.importorskip("graphviz")
+    graph = pm.model_to_graphviz(updated[1])
+    assert isinstance(graph, graphviz.Digraph)
+    assert updated[0].__name__ in graph.source
+    assert all(f"{parent} -> y" in graph.source for parent in ("theta", "sigma"))
+    assert "sensor (3) x time (21)" in graph.source.replace("×", "x")
