@@ -75,11 +75,21 @@ class Table:
         self.lengths = [length >> k for k in range(levels)]
         self.periods = [2 * OVERSAMPLING * fft.next_fast_len(-(-(n + 1) // 2)) for n in self.lengths]
         spacing, empty = 2.0 * np.pi / (step * np.array(self.periods)), np.zeros(levels * N_ROWS, dtype=int)
-        nodes, products = (empty, empty + 1, empty.copy(), np.empty(0)), (observed @ own[0], own @ own[0])
         self.mesh = Mesh(
-            *(length * step, step, spacing, *nodes, *coefficients()),
-            *(np.einsum("jt,jt->j", observed, observed), *products),
-            *(rows[:, :-1:stride] @ phases[0], phases @ phases.T, ground[0]),
+            length * step,
+            step,
+            spacing,
+            empty,
+            empty + 1,
+            empty.copy(),
+            np.empty(0),
+            *coefficients(),
+            np.einsum("jt,jt->j", observed, observed),
+            observed @ own[0],
+            own @ own[0],
+            rows[:, :-1:stride] @ phases[0],
+            phases @ phases.T,
+            ground[0],
             len(rows) - 1 if direct.size else s,
         )
 
