@@ -263,11 +263,14 @@ def take_functions(room, values, entries, vectors):
     """Interpolate all functions of one mode of each structure, a function in each lane, and turn them."""
     for v in range(vectors):
         for lane in range(entries.size):
-            total = zero(room.functions)
-            for n in range(TAPS):
-                node = values[(entries[lane] + n) * vectors + v]
-                total = total + in_one_lane(room.weights, n, lane) * node
-            room.functions[v * entries.size + lane] = total
+            at = entries[lane] * vectors + v
+            last = in_one_lane(room.weights, 2 * REACH, lane) * values[at + 2 * REACH * vectors]
+            even, odd = last, zero(room.functions)  # two sums, so that one does not wait for the other
+            for n in range(0, 2 * REACH, 2):
+                even = even + in_one_lane(room.weights, n, lane) * values[at]
+                odd = odd + in_one_lane(room.weights, n + 1, lane) * values[at + vectors]
+                at += 2 * vectors
+            room.functions[v * entries.size + lane] = even + odd
         first = v * entries.size
         turn(room.functions, first, 1, room.functions, first, 2, 1)
 
@@ -372,8 +375,8 @@ def write_results(room, mesh, m, quantity, wants_gradient, out):
         own, total = r * (3 + s) + 3, zero(reals)
         for j in range(s):
             reals[left + j] = reals[own + j]
-        for q in range(m):
-            product = product_of(room, mesh, r, q)
+        for q in range(m if wants_gradient else r + 1):  # without derivatives pairs are alike
+            product = product_of(room, mesh, r, q) * (1.0 if wants_gradient or q == r else 2.0)
             for j in range(s):
                 reals[left + j] = reals[left + j] - product * room.shares[j * m + q]
         for j in range(s):
