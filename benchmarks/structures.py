@@ -18,8 +18,8 @@ from benchmarks.routes import filters
 from benchmarks.tables import significant, table
 from benchmarks.timing import best_of_rounds, fitted_exponent
 from pymc_features.simulators import FAMILIES
+from pymc_features.simulators.linear.known import KNOWN
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT
-from pymc_features.simulators.reduced.known import KNOWN
 
 SIZES = (3, 10, 30, 100)
 GRIDS = ((10, 30), (20, 50), (20, 100))  # bays and storeys of the sparse frames

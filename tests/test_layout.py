@@ -242,17 +242,13 @@ SIMULATOR_ROOMS = {
     "compiled": set(),
     "numbers": {"compiled"},
     "oscillators": {"compiled", "numbers"},
-    "derivatives": {"compiled", "numbers", "oscillators", "eigen"},
-    "spectra": {"compiled"},
-    "eigen": {"compiled", "oscillators"},
+    "eigen": {"compiled", "numbers", "oscillators"},
     "long_records": {"compiled", "numbers", "oscillators"},
-    "chain": {"compiled", "oscillators", "derivatives", "eigen", "long_records"},
-    "reduced": {"compiled", "eigen"},
-    "linear": {"compiled", "oscillators", "derivatives", "eigen", "long_records", "reduced"},
+    "chain": {"compiled", "oscillators", "eigen", "long_records"},
+    "linear": {"compiled", "oscillators", "eigen", "long_records"},
     "taylor": {"compiled", "oscillators"},
     "nonlinear": {"compiled", "oscillators", "chain", "taylor"},
-    "cyclic": {"compiled", "oscillators"},
-    "modal": {"compiled", "oscillators", "eigen", "chain", "linear"},
+    "modal": {"compiled", "oscillators", "chain", "linear"},
 }
 
 

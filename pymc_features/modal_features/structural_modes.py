@@ -22,8 +22,8 @@ from pymc_features.ops.population import as_rows, without_unit_batch
 from pymc_features.ops.response import as_data
 from pymc_features.records import Record
 from pymc_features.simulators import FAMILIES, Outputs
+from pymc_features.simulators.linear.known import KNOWN
 from pymc_features.simulators.modal.perturbation import Cotangent
-from pymc_features.simulators.reduced.known import KNOWN
 from pymc_features.simulators.request import check_outputs, check_sensors, picked_by_name
 from pymc_features.structures import Structure
 from pymc_features.structures.base import static_length

@@ -9,7 +9,7 @@ from pytensor.graph.op import Op
 
 from pymc_features.simulators import CODES, FAMILIES, n_outputs
 from pymc_features.simulators.families import count
-from pymc_features.simulators.reduced.known import KNOWN
+from pymc_features.simulators.linear.known import KNOWN
 
 
 class StructuralOp(Op):

@@ -32,9 +32,9 @@ from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradie
 from pymc_features.ops.response import StructuralResponse
 from pymc_features.simulators.compiled.dependencies import source_hash
 from pymc_features.simulators.families import count
+from pymc_features.simulators.linear.known import KNOWN
 from pymc_features.simulators.long_records.misfits import Tables
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
-from pymc_features.simulators.reduced.known import KNOWN
 
 DISPATCH_HASH = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 

@@ -15,7 +15,7 @@ from pymc_features.simulators.oscillators.arguments import (
     n_outputs,
     write_own,
 )
-from pymc_features.simulators.oscillators.recursion import BLOCK, add_feed
+from pymc_features.simulators.oscillators.modal_system import BLOCK, add_feed
 from pymc_features.simulators.oscillators.table import advance, new_outputs
 
 MEMORY = 16 * 2**20  # of a block of responses [bytes]

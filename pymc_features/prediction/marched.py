@@ -6,8 +6,7 @@ import numpy as np
 
 from pymc_features.prediction.histories import Recursions, response_blocks
 from pymc_features.prediction.simulated import largest
-from pymc_features.simulators.chain.parameters import ChainParameters
-from pymc_features.simulators.chain.response import chain_feed, modes_of
+from pymc_features.simulators.chain.parameters import ChainParameters, chain_feed, modes_of
 from pymc_features.simulators.excitation import excitation_of
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.linear.arguments import Arguments

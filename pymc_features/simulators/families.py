@@ -41,8 +41,8 @@ from pymc_features.simulators.chain.kernels import (
     response_gradient,
 )
 from pymc_features.simulators.chain.parameters import ChainParameters
-from pymc_features.simulators.cyclic.kernels import KERNELS as OF_SPECIMENS
-from pymc_features.simulators.cyclic.law import SpecimenParameters
+from pymc_features.simulators.cyclic import KERNELS as OF_SPECIMENS
+from pymc_features.simulators.cyclic import SpecimenParameters
 from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.linear.gradient import (
     linear_gradient_of_sums,
@@ -67,7 +67,7 @@ from pymc_features.simulators.modal.linear import linear_modes_gradient, linear_
 from pymc_features.simulators.nonlinear.bouc_wen.law import BoucWen
 from pymc_features.simulators.nonlinear.duffing import Cubic
 from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels
-from pymc_features.simulators.nonlinear.parameters import NonlinearParameters
+from pymc_features.simulators.nonlinear.law import NonlinearParameters
 from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
 from pymc_features.simulators.oscillators.differences import SMOOTH, tangents
 

@@ -13,7 +13,7 @@ from pytensor.graph.basic import Variable
 from scipy.linalg import eigh_tridiagonal
 
 from pymc_features._checks import as_array, shown
-from pymc_features.simulators.chain.graded import LOSS, eigenvalue_of, write_shape
+from pymc_features.simulators.chain.modes import LOSS, eigenvalue_of, write_shape
 from pymc_features.structures.affine import AffineStructure
 from pymc_features.structures.base import (
     DAMPING,

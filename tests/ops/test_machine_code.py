@@ -132,13 +132,13 @@ def test_edits_compile_what_they_change_and_nothing_else(tmp_path, request):
     value, code = copy.run(), copy.machine_code()
     assert code
     without_kernels = ("simulators/simulate.py", "simulators/quantities.py", "ops/response.py")
-    for file in (*without_kernels, "simulators/nonlinear/kinks.py"):  # or with those of another family
+    for file in (*without_kernels, "simulators/nonlinear/runge_kutta.py"):  # or with those of another family
         with open(copy.package / file, "a") as source:
             source.write("\n\ndef more():\n    return 1\n")
     assert copy.run() == pytest.approx(value, rel=1e-14)
     assert copy.machine_code() == code
     copy.edit("simulators/chain/kernels.py", "0)))[:, 0].copy()", "0)))[:, 0] * 2.0")
-    copy.edit("simulators/oscillators/evaluation.py", "own[0] = walk", "own[0] = 5.0 * walk")
+    copy.edit("simulators/oscillators/march.py", "own[0] = walk", "own[0] = 5.0 * walk")
     copy.edit(
         "ops/numba_dispatch.py",
         "return kernel((*assembled(given), *given[more:]))",

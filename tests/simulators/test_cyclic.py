@@ -17,8 +17,7 @@ from pymc_features import (
     response,
     simulate,
 )
-from pymc_features.simulators.cyclic.kernels import forces
-from pymc_features.simulators.cyclic.law import NAMES
+from pymc_features.simulators.cyclic import NAMES, forces
 from pymc_features.simulators.oscillators.arguments import Excitation
 from support.reference import richardson
 from support.refusals import refusals

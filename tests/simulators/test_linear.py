@@ -8,11 +8,11 @@ from scipy.linalg import eigh
 from pymc_features import LinearStructure, ModalDamping, RayleighDamping, simulate
 from pymc_features.algebra import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
+from pymc_features.simulators.linear.oscillators import Direct, march_system
 from pymc_features.simulators.linear.state_space import StateMatrices, march_state, modal_equations
 from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.oscillators.arguments import Excitation
 from pymc_features.simulators.oscillators.modal_system import ModalSystem
-from pymc_features.simulators.oscillators.systems import Direct, march_system
 from support.linear import UNDAMPED, as_linear, noise, of_matrices, random_structure, spring_chain
 from support.reference import first_order_hold, interpolated
 from support.straight import Loading

@@ -18,10 +18,9 @@ from pymc_features.simulators import FAMILIES
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear import gradient, population
 from pymc_features.simulators.linear.arguments import Arguments
-from pymc_features.simulators.linear.complement import invert_outside
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.oscillators import pull_back
-from pymc_features.simulators.linear.projection import to_parameters
+from pymc_features.simulators.linear.projection import invert_outside, to_parameters
 from pymc_features.simulators.linear.system import is_coupled, solve_system
 from support import kernels
 from support.kernels import (

@@ -6,13 +6,13 @@ from scipy.linalg import eigh_tridiagonal
 
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import new_vectors
-from pymc_features.simulators.eigen.damping_matrices import (
+from pymc_features.simulators.eigen.matrices import (
     filled_places,
     is_never_negative,
+    multiply_lanes,
     multiply_sparse,
 )
-from pymc_features.simulators.eigen.matrices import multiply_lanes
-from pymc_features.simulators.eigen.root_free import values_of_lanes
+from pymc_features.simulators.eigen.tridiagonal import values_of_lanes
 from support.linear import noise, spring_chain
 
 

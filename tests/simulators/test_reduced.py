@@ -9,11 +9,10 @@ from pymc_features import AffineStructure, ModalDamping
 from pymc_features.modal_features.structural_modes import AT_REST
 from pymc_features.simulators import FAMILIES, Outputs
 from pymc_features.simulators.linear.arguments import LinearParameters
+from pymc_features.simulators.linear.known import KNOWN, Known, lowest
 from pymc_features.simulators.modal import linear
 from pymc_features.simulators.modal.perturbation import Cotangent
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT
-from pymc_features.simulators.reduced.candidates import lowest
-from pymc_features.simulators.reduced.known import KNOWN, Known
 from support.straight import Loading
 
 SIDES = 20, 15  # of a membrane on springs

@@ -6,9 +6,8 @@ from scipy.integrate import cumulative_simpson
 
 from pymc_features.simulators.nonlinear.law import SERIES
 from pymc_features.simulators.oscillators.arguments import Excitation
-from pymc_features.simulators.taylor.ground import spans
-from pymc_features.simulators.taylor.ground.projection import DEGREE, projection
-from pymc_features.simulators.taylor.ground.spans import Ground
+from pymc_features.simulators.taylor import ground
+from pymc_features.simulators.taylor.ground import DEGREE, Ground, projection
 from simulators.test_taylor import FAMILIES, KERNELS, history, population, shaken
 
 RATE = 50.0  # [rad/s], about that of the chains
@@ -18,13 +17,13 @@ RATE = 50.0  # [rad/s], about that of the chains
 def set_tolerance(monkeypatch):
     """Change what may be lost in all spans that are found from then on."""
 
-    def change(tolerance, excess=spans.EXCESS):
-        monkeypatch.setattr(spans, "TOLERANCE", tolerance)
-        monkeypatch.setattr(spans, "EXCESS", excess)
-        spans.ground_from.cache_clear()
+    def change(tolerance, excess=ground.EXCESS):
+        monkeypatch.setattr(ground, "TOLERANCE", tolerance)
+        monkeypatch.setattr(ground, "EXCESS", excess)
+        ground.ground_from.cache_clear()
 
     yield change
-    spans.ground_from.cache_clear()
+    ground.ground_from.cache_clear()
 
 
 def fine(n_times=601, **request):
@@ -113,7 +112,7 @@ def differences(family, parameters, where, set_tolerance, *tolerance):
 def test_a_smooth_record(family, set_tolerance):
     """Band-limited at 40 Hz: one span to an output."""
     where = fine(band=40.0, scale=20.0)
-    of_errors, of_responses = differences(family, population(family), where, set_tolerance, spans.TOLERANCE)
+    of_errors, of_responses = differences(family, population(family), where, set_tolerance, ground.TOLERANCE)
     assert (cut(where).widths[:-1] == 10).mean() > 0.9
     assert 0.0 < of_errors < 1e-6
     assert of_responses < 1e-6
@@ -127,7 +126,7 @@ def test_a_rough_record(family, set_tolerance):
     parameters[1] = 60.0 * parameters[1]
     if family == "hysteretic":
         parameters[4][:, 0] /= 60.0
-    differ = differences(family, parameters, where, set_tolerance, spans.TOLERANCE)
+    differ = differences(family, parameters, where, set_tolerance, ground.TOLERANCE)
     assert max(differ) < 1e-6
     wrong = differences(family, parameters, where, set_tolerance, np.inf, np.inf)
     assert max(wrong) > 1e-5

@@ -6,7 +6,7 @@ import pytest
 from pymc_features.simulators.families import FAMILIES
 from pymc_features.simulators.nonlinear import kernels
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT
-from pymc_features.simulators.taylor import tape
+from pymc_features.simulators.taylor import layout
 from simulators.test_taylor import CASES as MARCHES
 from simulators.test_taylor import FAMILIES as NAMES
 from simulators.test_taylor import KERNELS, PARTICLES, history, particle, population, shaken
@@ -148,7 +148,7 @@ def test_a_short_tape(case, monkeypatch):
     observed = noisy("hysteretic", parameters, where)
     weights = np.ones((PARTICLES, len(observed), 1))
     whole = gradient("hysteretic", parameters, where, observed, weights)
-    monkeypatch.setattr(tape, "ROOM", 1)
+    monkeypatch.setattr(layout, "ROOM", 1)
     in_parts = gradient("hysteretic", parameters, where, observed, weights)
     for a, b in zip(whole, in_parts, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9)

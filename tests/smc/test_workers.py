@@ -30,8 +30,8 @@ from pymc_features import (
 )
 from pymc_features.exceptions import NoWorkersError
 from pymc_features.processes import calls
+from pymc_features.simulators.linear.known import KNOWN
 from pymc_features.simulators.nonlinear.kernels import PARTICLES
-from pymc_features.simulators.reduced.known import KNOWN
 from pymc_features.smc import open_workers, population_logp
 from pymc_features.smc.density.rows import UNIT
 from pymc_features.smc.workers import workers as workers_module

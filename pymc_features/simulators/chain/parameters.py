@@ -1,10 +1,16 @@
-"""The parameters of a spring-mass chain."""
+"""The parameters of a spring-mass chain.
+
+Modes of a spring-mass chain, Eqs. (17)-(24), as its outputs have them, and checks of sizes.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features.simulators.chain.modes import chain_modes
 from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.oscillators.arguments import n_outputs
+from pymc_features.simulators.oscillators.modal_system import ModalSystem, feed_through, write_damping
 
 
 class ChainParameters(NamedTuple):
@@ -47,3 +53,92 @@ def zeros_like(parameters):
     return ChainParameters(
         np.zeros(mass.shape), np.zeros(stiffness.shape), np.zeros(rayleigh.shape), np.zeros(ratios.shape)
     )
+
+
+@jit
+def check_sizes(parameters, wanted):
+    """Refuse inputs whose sizes would make the kernels read outside their arrays."""
+    mass, stiffness, rayleigh, ratios = parameters
+    n_dof = mass.size
+    if stiffness.size != n_dof or ratios.size != n_dof or rayleigh.size != 2:
+        raise ValueError("`mass`, `stiffness` and damping `ratios` must have equal lengths")
+    for j in range(wanted.sensors.size):
+        if wanted.sensors[j] < 0 or wanted.sensors[j] >= n_dof:
+            raise ValueError("`sensors` must be degrees of freedom of the structure")
+    if wanted.n_modes < 1 or wanted.n_modes > n_dof:
+        raise ValueError("`n_modes` must lie between 1 and the number of degrees of freedom")
+
+
+@jit
+def check_history(history, excitation, wanted):
+    """Refuse data, or weights on the response, of another shape than the response's."""
+    total = n_outputs(excitation.acceleration.size, excitation.substeps, excitation.stride)
+    if history.shape[0] != wanted.sensors.size or history.shape[1] != total:
+        raise ValueError("`observed` or the cotangent must have the shape (sensor, time) of the response")
+
+
+@jit
+def drifts_of(shapes):
+    """Drifts (n, k) of the springs in the columns of displacements (n, k)."""
+    drifts = shapes.copy()
+    drifts[1:] -= shapes[:-1]
+    return drifts
+
+
+@jit
+def write_shapes(rows, sensors, shapes):
+    """Write S Phi (s, m) from mode shapes in rows (n, n)."""
+    for j in range(sensors.size):
+        for r in range(shapes.shape[1]):
+            shapes[j, r] = rows[r, sensors[j]]
+
+
+@jit
+def modes_of(parameters, step, wanted):
+    """Modes of a chain, everything that the recursion needs once for each set of parameters.
+
+    Parameters
+    ----------
+    parameters : ChainParameters
+    step : float
+        Of the recursion [s].
+    wanted : Outputs
+
+    Returns
+    -------
+    valid : bool
+        False if the parameters describe no structure; the rest is undefined then.
+    system : ModalSystem
+        The modes kept.
+    omega : array (n,)
+        Of all modes [rad/s].
+    rows : array (n, n)
+        All mode shapes, mass-normalised, one in each row.
+    """
+    mass, stiffness, rayleigh, ratios = parameters
+    n, m = mass.size, wanted.n_modes
+    omega, participation, rows = np.empty(n), np.empty(n), np.zeros((n, n))
+    damping, shapes = np.empty(m), np.empty((wanted.sensors.size, m))
+    valid = chain_modes(mass, stiffness, omega, rows, participation)
+    if valid:
+        valid = write_damping(omega[:m], rayleigh, ratios, step, damping)
+    write_shapes(rows, wanted.sensors, shapes)
+    return valid, ModalSystem(omega[:m], damping, shapes, participation[:m].reshape(m, 1)), omega, rows
+
+
+@jit
+def write_feed(system, quantity, complete, feed):
+    """Write the feed-through (s,) of the ground acceleration: zero for the absolute one with all modes."""
+    for j in range(feed.size):
+        by_modes = 0.0
+        for r in range(system.omega.size):
+            by_modes += system.shapes[j, r] * system.participation[r, 0]
+        feed[j] = feed_through(1.0, 0.0, by_modes, quantity, complete)
+
+
+@jit
+def chain_feed(system, wanted, complete):
+    """Feed-through (s, 1) of the ground acceleration."""
+    feed = np.empty(wanted.sensors.size)
+    write_feed(system, wanted.quantity, complete, feed)
+    return feed.reshape(feed.size, 1)

@@ -13,6 +13,18 @@ Each mode stands for a pair: lambda = a + i b and a - i b, with i^2 = -1, or two
 overdamped, then with i^2 = +1, which changes nothing but a sign in products. A pair marches as one oscillator
 with the frequency and damping of its product and sum, lambda_1 lambda_2 and -(lambda_1 + lambda_2), and its
 residues u_j x'Gamma / (x' (2 lambda + D) x) give what the sensors see of its displacement and velocity.
+
+Numbers a + b i with i^2 = -1, or +1 where both poles of a pair of modes are real, one in each lane.
+
+Residues of pairs of complex modes, and whether all pairs are there, see `complex_modes`.
+
+That all pairs are found, and none twice, shows in the sums of the residues: of all pairs they are zero, and
+times lambda S Phi Gamma.
+
+Pairs of complex modes as the march takes them: each twice, seen by its displacement and by its velocity.
+
+Both poles of a pair make up an oscillator q" + d q' + s q = -a with s their product and d less their sum, and
+what a sensor sees of the pair is a combination of q and q'.
 """
 
 from typing import NamedTuple
@@ -31,8 +43,31 @@ from pymc_features.simulators.compiled.vector import (
 )
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import new_vectors, read_lanes, write_lanes
-from pymc_features.simulators.eigen.damping_matrices import PANEL, multiply_rows, multiply_two_rows
-from pymc_features.simulators.eigen.pair_numbers import impedance, over, times
+from pymc_features.simulators.eigen.matrices import PANEL, multiply_rows, multiply_two_rows
+from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
+from pymc_features.simulators.oscillators.modal_lanes import clear
+
+
+@jit
+def times(x, y, square):
+    """Product of two numbers (real, imaginary), i^2 = `square`."""
+    return x[0] * y[0] + square * (x[1] * y[1]), x[0] * y[1] + x[1] * y[0]
+
+
+@jit
+def over(x, y, square):
+    """Quotient of two such numbers."""
+    size = splat(1.0) / (y[0] * y[0] - square * (y[1] * y[1]))
+    real, imaginary = times(x, (y[0], 0.0 - y[1]), square)
+    return real * size, imaginary * size
+
+
+@jit
+def impedance(pole, square, omega, d):
+    """lambda^2 + d lambda + omega^2."""
+    own = times(pole, pole, square)
+    return own[0] + omega * omega + d * pole[0], own[1] + d * pole[1]
+
 
 MAX_ITERATIONS = 80
 EARLY, LARGE = 12, 0.02  # a vector that moves that much after so many iterations will not settle
@@ -264,3 +299,166 @@ def settle_panel(modes, first):
         if not highest(live) > 0.0:
             return
     store(modes.is_good, 0, load(modes.is_good, 0) - live)
+
+
+COMPLETE = 1e-9  # error of the sums of residues beside the sum of their classical absolute values
+CANCELLING = 1e5  # residues above that many times the classical ones: two modes, or both of a pair, coalesce
+
+
+@jit
+def add_to_sums(at, j, pole, residue):
+    """Add the residue of a pair at sensor j to the sums that are checked; `pole` is a, b and i^2."""
+    a, b, square = pole
+    speed, rate = 2.0 * residue[0], 2.0 * (a * residue[0] + square * (b * residue[1]))
+    whole = magnitude(a * residue[0]) + magnitude(b * residue[1]) + magnitude(a * residue[1])
+    write_lanes(at.sums, 3 * j, read_lanes(at.sums, 3 * j) + speed)
+    write_lanes(at.sums, 3 * j + 1, read_lanes(at.sums, 3 * j + 1) + rate)
+    write_lanes(at.sums, 3 * j + 2, read_lanes(at.sums, 3 * j + 2) + whole + magnitude(b * residue[0]))
+
+
+@jit
+def at_sensor(at, j, p):
+    """Mode p of the panel at sensor j, as (real, imaginary)."""
+    m, x = at.m, at.vectors
+    real = imaginary = splat(0.0)
+    for s in range(m):
+        row, weight = 2 * (PANEL * s + p), read_lanes(at.seen, j * m + s)
+        real, imaginary = real + weight * read_lanes(x, row), imaginary + weight * read_lanes(x, row + 1)
+    return real, imaginary
+
+
+@jit
+def norm(at, p):
+    """1 / x' (2 lambda + D) x of mode p of the panel."""
+    m, x, zero = at.m, at.vectors, splat(0.0)
+    pole, square = pole_of(at, p)
+    real = imaginary = zero
+    for s in range(m):
+        row = 2 * (PANEL * s + p)
+        entry, y = (
+            (read_lanes(x, row), read_lanes(x, row + 1)),
+            (read_lanes(at.products, row), read_lanes(at.products, row + 1)),
+        )
+        twice = times((2.0 * pole[0], 2.0 * pole[1]), entry, square)
+        term = times(entry, (twice[0] + y[0], twice[1] + y[1]), square)
+        real, imaginary = real + term[0], imaginary + term[1]
+    return over((splat(1.0), zero), (real, imaginary), square)
+
+
+@jit
+def input_factor(at, p):
+    """x'Gamma / x' (2 lambda + D) x of mode p of the panel."""
+    real = imaginary = splat(0.0)
+    for s in range(at.m):
+        row, weight = 2 * (PANEL * s + p), read_lanes(at.participation, s)
+        real = real + weight * read_lanes(at.vectors, row)
+        imaginary = imaginary + weight * read_lanes(at.vectors, row + 1)
+    return times((real, imaginary), norm(at, p), read_lanes(at.poles, 3 * p + 2))
+
+
+@jit
+def check_sums(modes, n_sensors, cancelling):
+    """Take the lanes out of the good ones where modes are missing, or residues cancel.
+
+    `cancelling` is how many times larger than the classical ones the residues may be.
+    """
+    m, zero, one = modes.omega.shape[0], splat(0.0), splat(1.0)
+    scale = wrong = left = whole = fastest = not_numbers = zero
+    for r in range(m):
+        fastest = larger(fastest, load(modes.omega, r))
+    for j in range(n_sensors):
+        total = size = zero
+        for s in range(m):
+            share = load(modes.seen, j * m + s) * load(modes.participation, s)
+            total, size = total + share, size + magnitude(share)
+        left = larger(left, magnitude(load(modes.sums, 3 * j)) * fastest)
+        wrong = larger(wrong, magnitude(load(modes.sums, 3 * j + 1) - total))
+        whole, scale = larger(whole, load(modes.sums, 3 * j + 2)), larger(scale, size)
+        not_numbers = not_numbers + zero * load(modes.sums, 3 * j + 2)  # NaN is passed over by `larger`
+    passed = where_less(left, COMPLETE * scale, one, zero)
+    passed = where_less(wrong, COMPLETE * scale, passed, zero)
+    passed = where_less(whole, cancelling * scale, passed, zero)
+    passed = where_less(not_numbers, one, passed, zero)
+    store(modes.is_good, 0, load(modes.is_good, 0) * passed)
+
+
+class Pairs(NamedTuple):
+    """Pairs of structures, one in each lane.
+
+    Attributes
+    ----------
+    stiffness, drag : array (m, LANES)
+        s and d.
+    shapes : array (2 s m, LANES)
+        Before q and q' of pair r at sensor j, in rows 2 (j m + r) ...
+    forced : array (s, LANES)
+        S iota less S Phi Gamma.
+    """
+
+    stiffness: np.ndarray
+    drag: np.ndarray
+    shapes: np.ndarray
+    forced: np.ndarray
+
+
+@jit
+def new_oscillator_pairs(m, n_sensors):
+    """Room for m pairs."""
+    return Pairs(new_vectors(m), new_vectors(m), new_vectors(2 * n_sensors * m), new_vectors(n_sensors))
+
+
+@jit
+def write_shares(pairs, at, r, p, quantity):
+    """Write pair r, place p of the panel, and what sensors see of it; add it to the sums that are checked.
+
+    `at` are the places of the complex modes.
+    """
+    (a, b), square = pole_of(at, p)
+    stiffness, drag, factor = a * a - square * (b * b), 0.0 - 2.0 * a, input_factor(at, p)
+    store(pairs.stiffness, r, stiffness)
+    store(pairs.drag, r, drag)
+    m = pairs.stiffness.shape[0]
+    for j in range(pairs.forced.shape[0]):
+        residue = times(at_sensor(at, j, p), factor, square)
+        speed, size = 2.0 * residue[0], 2.0 * (a * residue[0] - square * (b * residue[1]))
+        by_q, by_v = 0.0 - size, speed
+        rate = by_q - drag * by_v  # of q' in the velocity, and of the input in the acceleration
+        add_to_sums(at, j, (a, b, square), residue)
+        if quantity != RELATIVE_DISPLACEMENT:
+            by_q, by_v = 0.0 - stiffness * by_v, rate
+            if quantity != RELATIVE_VELOCITY:
+                by_q, by_v = 0.0 - stiffness * by_v, by_q - drag * by_v
+        store(pairs.shapes, 2 * (j * m + r), by_q)
+        store(pairs.shapes, 2 * (j * m + r) + 1, by_v)
+
+
+@jit
+def write_pairs(pairs, modes, n_sensors, quantity):
+    """Find and write the complex modes of all lanes; `modes.is_good` tells which came out right."""
+    m, at = modes.omega.shape[0], mode_places(modes)
+    for i in range(3 * n_sensors):
+        store(modes.sums, i, splat(0.0))
+    for first in range(0, m, PANEL):
+        start_panel(modes, first)
+        settle_panel(modes, first)
+        for p in range(min(PANEL, m - first)):
+            write_shares(pairs, at, first + p, p, quantity)
+    check_sums(modes, n_sensors, CANCELLING)
+
+
+@jit
+def fill_lanes(lot, pairs, is_good):
+    """Write the pairs of good lanes, `is_good` (1, LANES), as displacements, then as velocities."""
+    m = pairs.stiffness.shape[0]
+    for lane in range(lot.is_there.size):
+        lot.is_there[lane] = is_good[0, lane] > 0.0
+        if not lot.is_there[lane]:
+            clear(lot, lane)
+            continue
+        for r in range(2 * m):
+            lot.squares[r, lane], lot.damping[r, lane] = pairs.stiffness[r % m, lane], pairs.drag[r % m, lane]
+            lot.moves[r, lane] = lot.participation[r, lane] = 1.0
+            for j in range(lot.n_sensors):
+                lot.shapes[j * lot.n_all + r, lane] = pairs.shapes[2 * (j * m + r % m) + r // m, lane]
+        for j in range(lot.n_sensors):
+            lot.forced[j, lane] = pairs.forced[j, lane]

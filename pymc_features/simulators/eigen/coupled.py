@@ -8,19 +8,25 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, magnitude, splat, store, where_less
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import new_vectors
-from pymc_features.simulators.eigen.complex_modes import new_complex
-from pymc_features.simulators.eigen.damping_matrices import filled_places, is_never_negative, multiply_sparse
+from pymc_features.simulators.eigen.complex_modes import (
+    fill_lanes,
+    new_complex,
+    new_oscillator_pairs,
+    write_pairs,
+)
 from pymc_features.simulators.eigen.matrices import (
     all_diagonal,
     assemble_lanes,
     factorise_lanes,
+    filled_places,
+    is_never_negative,
     multiply_lanes,
+    multiply_sparse,
 )
-from pymc_features.simulators.eigen.pairs import fill_lanes, new_oscillator_pairs, write_pairs
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
-from pymc_features.simulators.oscillators.evaluation import evaluate, new_walk
-from pymc_features.simulators.oscillators.fast_modes import highest_coupled_step
+from pymc_features.simulators.oscillators.march import evaluate, new_walk
 from pymc_features.simulators.oscillators.modal_lanes import new_modal_lanes
+from pymc_features.simulators.oscillators.modal_system import highest_coupled_step
 from pymc_features.simulators.oscillators.samples import of_population
 
 FEW = 0.3  # share of the entries of C below which those that are zero are passed over

@@ -7,16 +7,16 @@ cost does not grow with the number of parameters but for one product with the st
 import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
-from pymc_features.simulators.derivatives.coupled import add_coupled_gradients
-from pymc_features.simulators.linear import oscillators, state_adjoint
+from pymc_features.simulators.eigen.coupled_gradients import add_coupled_gradients
+from pymc_features.simulators.linear import oscillators, state_space
 from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
-from pymc_features.simulators.linear.dense_kernels import (
+from pymc_features.simulators.linear.dense_structures import (
+    add_dense_gradient,
     add_misfit_gradient,
     add_population_gradient,
     is_share_known,
     spread_population,
 )
-from pymc_features.simulators.linear.dense_structures import add_dense_gradient
 from pymc_features.simulators.linear.projection import to_parameters
 from pymc_features.simulators.linear.system import solved, solved_alone
 
@@ -123,5 +123,5 @@ def gradient_of(a, system, history, weights):
     """The same, of a structure whose modes are known; None for no structure."""
     if system is None:
         return tuple(np.full(array.shape, np.nan) for array in a.parameters.random)
-    route = oscillators if a.parameters.is_classical else state_adjoint
+    route = oscillators if a.parameters.is_classical else state_space
     return to_parameters(a, system, route.pull_back(a, system, history, weights))

@@ -14,7 +14,7 @@ from pymc_features.simulators.linear.dense_structures import dense_statistics, d
 from pymc_features.simulators.linear.response import evaluate
 from pymc_features.simulators.linear.system import observe, solved
 from pymc_features.simulators.long_records.systems import Systems, new_systems, put_modes
-from pymc_features.simulators.oscillators.fast_modes import has_fast, highest_step
+from pymc_features.simulators.oscillators.modal_system import has_fast, highest_step
 
 
 def linear_population_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:

@@ -13,7 +13,7 @@ from pymc_features.simulators.linear.dense_structures import evaluate_structure
 from pymc_features.simulators.linear.oscillators import march_modes
 from pymc_features.simulators.linear.state_space import march_state, state_matrices
 from pymc_features.simulators.linear.system import is_coupled, solve_system, solved_alone
-from pymc_features.simulators.oscillators.recursion import statistics
+from pymc_features.simulators.oscillators.modal_system import statistics
 
 
 def linear_response(parameters, excitation, wanted) -> np.ndarray:

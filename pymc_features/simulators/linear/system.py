@@ -10,10 +10,14 @@ from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense import dense_modes
-from pymc_features.simulators.oscillators.fast_modes import STIFFEST, highest_coupled_step
-from pymc_features.simulators.oscillators.modal_system import ModalSystem, write_feed
-from pymc_features.simulators.oscillators.recursion import write_damping
-from pymc_features.simulators.reduced.known import KNOWN
+from pymc_features.simulators.linear.known import KNOWN
+from pymc_features.simulators.oscillators.modal_system import (
+    STIFFEST,
+    ModalSystem,
+    highest_coupled_step,
+    write_damping,
+    write_feed,
+)
 
 COUPLING = 1e-12  # off-diagonal entries of D below this times the largest are rounding
 

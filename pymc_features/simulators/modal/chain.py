@@ -3,17 +3,22 @@
 import numpy as np
 
 from pymc_features.simulators.chain.modes import chain_modes
-from pymc_features.simulators.chain.parameters import ChainParameters, own_rows, zeros_like
-from pymc_features.simulators.chain.response import check_sizes, drifts_of
+from pymc_features.simulators.chain.parameters import (
+    ChainParameters,
+    check_sizes,
+    drifts_of,
+    own_rows,
+    zeros_like,
+)
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.eigen.outside import outside_span
 from pymc_features.simulators.modal.perturbation import (
     Cotangent,
     by_eigenvalues,
+    outside_span,
     reduced_cotangents,
     write_modes,
 )
-from pymc_features.simulators.oscillators.recursion import write_damping
+from pymc_features.simulators.oscillators.modal_system import write_damping
 
 
 @jit

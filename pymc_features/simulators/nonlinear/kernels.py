@@ -9,13 +9,14 @@ from functools import cached_property
 import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.nonlinear.law import LAWS
-from pymc_features.simulators.nonlinear.layout import chain_memory, padded
-from pymc_features.simulators.nonlinear.parameters import (
+from pymc_features.simulators.nonlinear.law import (
+    LAWS,
     NonlinearParameters,
+    chain_memory,
     check_history,
     check_parameters,
     n_particles,
+    padded,
     particle,
 )
 from pymc_features.simulators.nonlinear.response import (
@@ -33,8 +34,8 @@ from pymc_features.simulators.oscillators.arguments import (
 )
 from pymc_features.simulators.oscillators.differences import WITH_KINKS, gradient, tangents
 from pymc_features.simulators.oscillators.misfit import weigh_history
-from pymc_features.simulators.taylor.adjoint.population import add_gradients
-from pymc_features.simulators.taylor.ground.spans import ground_of
+from pymc_features.simulators.taylor.adjoint.sweep import add_gradients
+from pymc_features.simulators.taylor.ground import ground_of
 from pymc_features.simulators.taylor.population import Lanes, is_linear_chain, march_population, rows_of
 
 PARTICLES = Counter()  # evaluated in populations by Taylor steps, by Runge-Kutta steps, and by both

@@ -17,16 +17,47 @@ so that each law has a kernel of its own, without a branch, and its machine code
 
 The branch is that of a whole step, which ends where it changes: a trial may lie a little beyond that point,
 and the law must be smooth there.
+
+Layout of the memory in which a nonlinear chain is integrated.
+
+A chain works in one piece of memory, which compiled code reaches by its address (`vector_memory.aligned`
+says why). It is divided into blocks of p numbers, p the number of springs n rounded up to full vectors; entry
+i of a block belongs to spring i or to the degree of freedom above it.
+
+==================  =======================================  ==========
+Block               Memory of the chain                      Unit
+==================  =======================================  ==========
+0 ... 7             parameters of the law, one block each    the law's
+`ACTIVE`            1, or 0 in the padding beyond n          -
+`INVERSE_MASS`      1/m_i                                    1/kg
+`STIFFNESS`         k_i                                      N/m
+`DASHPOT`           beta k_i, stiffness-proportional         N s/m
+`MASS_DAMPING`      alpha, mass-proportional                 1/s
+`SCALARS`           three numbers, named below               -
+`CROSSINGS` (2)     how often each of 2n kinks was passed    -
+`BRANCH`            1 where springs are loaded, -1 where     -
+                    they are unloaded
+`STATES` + 3 s      state at stage s: u, v and z, a block    m, m/s, -
+                    each
+`SLOPES` + 3 s      its time derivative: u', v' and z'
+`MODAL_DAMPING`     columns of M^-1 C of modal ratios (n)    1/s
+==================  =======================================  ==========
+
+Stage 0 is the start of a step and holds the present state between steps; stages 1 to 5 lie within the step,
+and stage `LAST` = 6 is its end.
+
+The parameters of a chain of nonlinear springs.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
 from numba.extending import overload
 
 from pymc_features.simulators.compiled.jit import FASTMATH, jit
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number
+from pymc_features.simulators.compiled.vector_memory import aligned, read_lanes, read_number, write_number
 from pymc_features.simulators.taylor.series import Series
 
 MAX_PARAMETERS = 8  # of a law; they lie at the beginning of the memory
@@ -108,3 +139,122 @@ def _is_admissible(law, i):
 @overload(has_kinks, jit_options=OPTIONS)
 def _has_kinks(law):
     return LAWS[law.instance_class].has_kinks
+
+
+N_STAGES = 7
+LAST = N_STAGES - 1
+
+ACTIVE, INVERSE_MASS, STIFFNESS, DASHPOT, MASS_DAMPING, SCALARS, CROSSINGS = range(
+    MAX_PARAMETERS, MAX_PARAMETERS + 7
+)
+BRANCH = CROSSINGS + 2
+STATES = BRANCH + 1
+SLOPES = STATES + 3 * N_STAGES
+MODAL_DAMPING = SLOPES + 3 * N_STAGES
+# Scalars: largest rate of change of the linear chain [1/s]; 1 if there is damping by modal ratios, else 0;
+# number of parts into which every step is divided
+LINEAR_RATE, HAS_MODAL_DAMPING, REFINE = range(3)
+
+
+def padded(n: int) -> int:
+    """The number n rounded up to full vectors."""
+    return LANES * -(-n // LANES)
+
+
+def chain_memory(n: int) -> np.ndarray:
+    """Memory of a chain of n degrees of freedom; zero."""
+    return aligned((MODAL_DAMPING + n) * padded(n))
+
+
+@jit
+def state(law, s):
+    """Where the state of stage `s` begins, in vectors."""
+    return (STATES + 3 * s) * law.rows
+
+
+@jit
+def slope(law, s):
+    """Where the slope of stage `s` begins, in vectors."""
+    return (SLOPES + 3 * s) * law.rows
+
+
+@jit
+def constant(law, block, row):
+    """Group `row` of a block of the chain's memory."""
+    return read_lanes(law.address, block * law.rows + row)
+
+
+@jit
+def scalar(law, name):
+    """One of the scalars of the chain."""
+    return read_number(law.address, SCALARS * law.rows * LANES + name)
+
+
+@jit
+def put(law, block, i, value):
+    """Write entry `i` of a block of the chain's memory."""
+    write_number(law.address, block * law.rows * LANES + i, value)
+
+
+class NonlinearParameters(NamedTuple):
+    """Masses on nonlinear springs in a row; of a population each array has one more axis in front.
+
+    Attributes
+    ----------
+    mass, stiffness, rayleigh, ratios : array (n,), (n,), (2,), (n,)
+        As of `ChainParameters`, with the springs' initial stiffnesses.
+    law : array (rows, n)
+        Parameters of the law of each spring.
+    """
+
+    mass: np.ndarray
+    stiffness: np.ndarray
+    rayleigh: np.ndarray
+    ratios: np.ndarray
+    law: np.ndarray
+
+
+@jit
+def particle(parameters, k):
+    """Parameters of particle `k` of a population, each with a row for it or one for all."""
+    mass, stiffness, rayleigh, ratios, values = parameters
+    return NonlinearParameters(
+        mass[k % mass.shape[0]],
+        stiffness[k % stiffness.shape[0]],
+        rayleigh[k % rayleigh.shape[0]],
+        ratios[k % ratios.shape[0]],
+        values[k % values.shape[0]],
+    )
+
+
+def n_particles(parameters) -> int:
+    """Number of particles of a population."""
+    sizes = {len(p) for p in parameters}
+    if len(sizes - {1}) > 1:
+        raise ValueError(
+            f"all parameters must have one row, or one for each particle, got {sorted(sizes)} rows."
+        )
+    return max(sizes)
+
+
+def check_parameters(law, parameters, wanted):
+    """Refuse parameters and outputs whose sizes would make a kernel read outside its arrays."""
+    n, sensors = parameters.mass.shape[-1], wanted.sensors
+    expected = NonlinearParameters((n,), (n,), (2,), (n,), (LAWS[law].n_parameters, n))
+    for name, values, shape in zip(parameters._fields, parameters, expected, strict=True):
+        if values.shape[-len(shape) :] != shape:
+            raise ValueError(f"`{name}` must have the shape {shape} of {n} springs, got {values.shape}.")
+    if wanted.n_modes != n:
+        raise ValueError(f"`n_modes` must be all {n} of a nonlinear chain, got {wanted.n_modes}.")
+    if sensors.size and (sensors.min() < 0 or sensors.max() >= n):
+        raise ValueError(f"`sensors` must be degrees of freedom from 0 to {n - 1}, got {sensors.tolist()}.")
+
+
+def check_history(history, expected) -> np.ndarray:
+    """Return data or a cotangent of the response, if it has its shape."""
+    if history.shape != expected:
+        raise ValueError(
+            "`observed`, or the cotangent, must have the shape (sensor, time) of the response, "
+            f"{expected}, got {history.shape}."
+        )
+    return history

@@ -6,15 +6,16 @@ from numba.extending import overload
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes
-from pymc_features.simulators.nonlinear.law import SERIES, spring
-from pymc_features.simulators.nonlinear.layout import (
+from pymc_features.simulators.nonlinear.law import (
     BRANCH,
+    SERIES,
     STIFFNESS,
     constant,
+    particle,
     slope,
+    spring,
     state,
 )
-from pymc_features.simulators.nonlinear.parameters import particle
 from pymc_features.simulators.nonlinear.runge_kutta import advance
 from pymc_features.simulators.nonlinear.state import deformation, prepare, write_slope
 from pymc_features.simulators.oscillators.arguments import (

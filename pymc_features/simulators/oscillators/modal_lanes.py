@@ -26,9 +26,15 @@ from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_VELOCITY,
 )
 from pymc_features.simulators.oscillators.exact_step import exact_step
-from pymc_features.simulators.oscillators.fast_modes import N_ORDERS, is_fast, write_following
-from pymc_features.simulators.oscillators.modal_system import ModalSystem, write_feed
-from pymc_features.simulators.oscillators.recursion import can_be_damped, modal_damping
+from pymc_features.simulators.oscillators.modal_system import (
+    N_ORDERS,
+    ModalSystem,
+    can_be_damped,
+    is_fast,
+    modal_damping,
+    write_feed,
+    write_following,
+)
 from pymc_features.simulators.oscillators.samples import even, filled, new_numbers
 
 PARTS = 3  # of a number with derivatives

@@ -1,11 +1,29 @@
-"""Structures as uncoupled modes, the form in which the kernels over time take them."""
+"""Structures as uncoupled modes, the form in which the kernels over time take them.
+
+Modes too fast to be stepped: they follow their input.
+
+Far below its frequency an oscillator q" + D q' + lambda q = -a has the solution q = -sum_k c_k a^(k), with
+
+    lambda c_0 = 1,   lambda c_1 = -D c_0,   lambda c_k = -D c_(k-1) - c_(k-2),
+
+whose terms fall like (f / f_r)^k. A mode above 0.3 of the rate at which a band-limited record is marched
+follows it by the record and its four derivatives; errors over the peak, for content up to 0.45 of the
+sampling rate and a mode at three times it, are 1e-4. Under straight lines a mode follows only where it cannot
+be stepped at all: there only a itself counts.
+
+Damping of modes, and responses of any road compared with data, a block at a time.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION
+from pymc_features.simulators.oscillators.arguments import (
+    ABSOLUTE_ACCELERATION,
+    RELATIVE_ACCELERATION,
+    RELATIVE_VELOCITY,
+)
 
 
 class ModalSystem(NamedTuple):
@@ -88,3 +106,196 @@ def write_feed(system, support_motion, quantity, complete, by_forces, feed):
                 by_modes += system.shapes[j, r] * system.participation[r, i]
             own = by_forces[j * feed.shape[1] + i]
             feed[j, i] = feed_through(support_motion[j, i], own, by_modes, quantity, complete)
+
+
+N_ORDERS = 5  # a and four derivatives
+FAST = 0.6 * np.pi  # omega h of a mode that follows a band-limited record
+COUPLED = 4.0 * np.pi  # the same of modes that the damping couples, which follow the record alone
+STIFFEST = 1e6  # omega h of a mode that follows straight lines, and D h of one that can be stepped
+
+
+@jit
+def highest_step(excitation):
+    """omega h from where a mode follows its input."""
+    return STIFFEST if excitation.direct.size == 0 else FAST
+
+
+@jit
+def is_fast(w, d, highest):
+    """Whether a mode of omega h and D h follows its input."""
+    return w > highest or d >= STIFFEST
+
+
+@jit
+def has_fast(system, step, highest):
+    """Whether a mode of a `ModalSystem` follows its input."""
+    found = False
+    for r in range(system.omega.size):
+        found |= is_fast(system.omega[r] * step, system.damping[r] * step, highest)
+    return found
+
+
+@jit
+def highest_coupled_step(excitation):
+    """omega h from where a mode that a damping matrix couples to others is left out of the march.
+
+    The ground moves it along then, as the modes that `n_modes` leaves out.
+    """
+    return STIFFEST if excitation.direct.size == 0 else COUPLED
+
+
+@jit
+def write_following(omega, damping, slope, quantity, factors):
+    """Write what stands before a, a', ... in the output f of a mode, in df/dlambda and in df/dD, (3, 5).
+
+    The output of accelerations is q", relative to the input; `slope` is dD/dlambda along the law of damping,
+    which is in df/dlambda.
+    """
+    square, order = omega * omega, 2
+    if quantity == RELATIVE_VELOCITY:
+        order = 1
+    elif quantity != ABSOLUTE_ACCELERATION and quantity != RELATIVE_ACCELERATION:
+        order = 0
+    c, by_square, by_damping = np.zeros(N_ORDERS), np.zeros(N_ORDERS), np.zeros(N_ORDERS)
+    for k in range(N_ORDERS):
+        value, change, drag = (1.0 if k == 0 else 0.0), 0.0, 0.0
+        if k > 0:
+            value -= damping * c[k - 1]
+            change -= damping * by_square[k - 1]
+            drag -= c[k - 1] + damping * by_damping[k - 1]
+        if k > 1:
+            value -= c[k - 2]
+            change -= by_square[k - 2]
+            drag -= by_damping[k - 2]
+        c[k] = value / square
+        by_square[k], by_damping[k] = (change - c[k]) / square, drag / square
+    factors[:] = 0.0
+    for k in range(N_ORDERS - order):
+        factors[0, k + order] = -c[k]
+        factors[1, k + order] = -(by_square[k] + slope * by_damping[k])
+        factors[2, k + order] = -by_damping[k]
+
+
+BLOCK = 128  # output samples handled at a time: the working set stays in the first-level cache
+
+
+@jit
+def modal_damping(omega, rayleigh, ratio):
+    """D = 2 zeta omega = alpha + beta omega^2 + 2 ratio omega [1/s] of a mode, Eq. (19)."""
+    return rayleigh[0] + rayleigh[1] * omega * omega + 2.0 * ratio * omega
+
+
+@jit
+def write_damping(omega, rayleigh, ratios, step, damping):
+    """Write D of all modes (m,); False if one is negative, or too large to be stepped at such a frequency."""
+    for r in range(omega.size):
+        damping[r] = modal_damping(omega[r], rayleigh, ratios[r])
+        if not can_be_damped(omega[r] * step, damping[r] * step):
+            return False
+    return True
+
+
+@jit
+def can_be_damped(w, d):
+    """Whether a mode of omega h and D h has a response; NaN has none.
+
+    One that cannot be stepped must relax within a step, D / omega^2 < h, to follow its input.
+    """
+    return d >= 0.0 and d < np.inf and (d < STIFFEST or d < w * w)
+
+
+@jit
+def add_feed(feed, own, count, block):
+    """Add what inputs (d, >= count) do directly to `count` samples of a block (s, >= count)."""
+    for i in range(own.shape[0]):
+        for j in range(block.shape[0]):
+            share = feed[j, i]
+            if share != 0.0:
+                for b in range(count):
+                    block[j, b] += share * own[i, b]
+
+
+@jit
+def take_block(block, first, count, observed, history, sums):
+    """Store `count` samples of the response, from sample `first` on, or compare them with the data.
+
+    Parameters
+    ----------
+    block : array (s, >= count)
+    observed : array (s, u)
+        Data; not read if there is a `history`.
+    history : array (s, u) or (0, 0)
+        Written, unless it is empty.
+    sums : array (1, s) or (4, s)
+        Otherwise, see `compare_block`; updated.
+    """
+    if history.size:
+        for j in range(history.shape[0]):
+            for b in range(count):
+                history[j, first + b] = block[j, b]
+    else:
+        compare_block(block, first, count, observed, sums)
+
+
+@jit
+def compare_block(block, first, count, observed, sums):
+    """Add `count` samples, from sample `first` on, to the sums of squares.
+
+    Where the data are NaN there is a gap: its samples add nothing to the first sum, and the sum of increments
+    is NaN.
+
+    Parameters
+    ----------
+    block : array (s, >= count)
+        Response; overwritten by the misfit if the increments are asked for.
+    observed : array (s, u)
+        Data; NaN where there are none.
+    sums : array (1, s) or (4, s)
+        Sums of squares of the misfit and, in four rows, of its increments, first and last misfit; updated.
+    """
+    for j in range(observed.shape[0]):
+        data = observed[j, first : first + count]
+        squares = 0.0
+        for b in range(count):
+            r = data[b] - block[j, b]
+            squares += r * r
+        if squares != squares:
+            squares = measured_squares(data, block[j])
+        sums[0, j] += squares
+        if sums.shape[0] == 4:
+            for b in range(count):
+                block[j, b] = data[b] - block[j, b]
+            add_increments(block[j], count, first == 0, sums[1:], j)
+
+
+@jit
+def measured_squares(data, response):
+    """Sum of the squared misfits of the samples that were measured; NaN where their response is."""
+    squares = 0.0
+    for b in range(data.size):
+        if data[b] == data[b]:
+            squares += (data[b] - response[b]) ** 2
+    return squares
+
+
+@jit
+def add_increments(misfits, count, is_first, sums, j):
+    """Add the squared increments of `count` misfits of sensor j; keep its first misfit and its last one."""
+    if is_first:
+        sums[0, j], sums[1, j], sums[2, j] = 0.0, misfits[0], misfits[0]
+    squares = (misfits[0] - sums[2, j]) ** 2
+    for b in range(1, count):
+        step = misfits[b] - misfits[b - 1]
+        squares += step * step
+    sums[0, j] += squares
+    sums[2, j] = misfits[count - 1]
+
+
+@jit
+def statistics(sums, n_times):
+    """Statistics (s, q) of sums (q, s) over a record."""
+    result = np.empty((sums.shape[1], sums.shape[0]))
+    for j in range(sums.shape[1]):
+        for i in range(sums.shape[0]):
+            result[j, i] = sums[i, j] / n_times if i < 2 else sums[i, j]
+    return result

@@ -7,6 +7,15 @@ it has been exceeded by far the steps are taken once more, shorter. Their number
 time: while a spring flows the coefficients are small, but long steps would not be stable. It falls from two
 to one where that is enough, with kinks where it is by far. A chain that asks for more than `MAX_STEPS` is
 lost: NaN, and left to others.
+
+Which springs of a group have kinks in a step: they go into batches, see `kinks.py`.
+
+A step of a chain, one block of springs after the other, from the highest down.
+
+The coefficients of thirty masses do not fit into the first cache. Order k of a spring needs order k - 1 of it
+and of the spring below, so that the orders of a block can follow each other where every one of them stays one
+spring behind the order before it; so do the sums at the end of the step, and the search for kinks. Damping by
+modal ratios couples all masses in every order: then the chain is one block.
 """
 
 from functools import cache
@@ -14,30 +23,41 @@ from functools import cache
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, highest, splat, where_less
+from pymc_features.simulators.compiled.vector import LANES, highest, magnitude, splat, where_less
 from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes, write_number
+from pymc_features.simulators.compiled.vector_memory import (
+    any_less,
+    first_lane,
+    lanes_less,
+    read_lanes,
+    read_number,
+    write_lanes,
+    write_number,
+)
 from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,
     RELATIVE_DISPLACEMENT,
     RELATIVE_VELOCITY,
 )
-from pymc_features.simulators.taylor.blocks import series_of
 from pymc_features.simulators.taylor.feedback import feedback_of
-from pymc_features.simulators.taylor.ground.projection import DEGREE
-from pymc_features.simulators.taylor.ground.spans import SHARE
-from pymc_features.simulators.taylor.kinks import turn_of
+from pymc_features.simulators.taylor.ground import DEGREE, SHARE
+from pymc_features.simulators.taylor.kinks import LANE, N_BATCH_ENTRIES, OWNER, PLACE, RATE_END, turn_of
 from pymc_features.simulators.taylor.layout import (
+    CHANGE,
+    COUNT,
     CURVED,
     DASHPOT,
     DRAG,
     FIRST,
     HARMLESS,
+    HAS_KINK,
     KINK_ERROR,
     LAST,
     LAST_Z,
     LOST,
+    MAX_STEPS,
     MOBILITY,
+    N_MOMENTS,
     PEAK,
     RATE_SIGN,
     V_END,
@@ -47,9 +67,123 @@ from pymc_features.simulators.taylor.layout import (
     add_lanes,
     layout_of,
     load_of,
+    tape_of,
 )
-from pymc_features.simulators.taylor.orders import HUGE, orders_from
-from pymc_features.simulators.taylor.tape import COUNT, MAX_STEPS, tape_of
+from pymc_features.simulators.taylor.orders import HUGE, finish_of, orders_from
+from pymc_features.simulators.taylor.series import RATE, Spring, Z, constant_of, write_constant
+
+
+@cache
+def search_of(series):
+    """Return the function that finds the springs with kinks in a group, and fills batches with them."""
+    length, record, entries, constants = layout_of(series)
+    turn, pieces = turn_of(series), series.pieces
+    rates, more, flags = length * (1 + RATE), record + length, record + length + N_BATCH_ENTRIES
+
+    @jit
+    def put(batch, c, count, number):
+        if count == 0:
+            write_lanes(batch, c, splat(number))
+        else:
+            write_number(batch, c * LANES + count, number)
+
+    @jit
+    def pack(address, here, lane, batch, count):
+        """Copy a spring of one chain into lane `count` of the batch; the first one goes into all lanes."""
+        for c in range(length, length * (2 + Z)):
+            put(batch, c, count, read_number(address, (here + c) * LANES + lane))
+        for c in range(entries + Z_END, record):
+            put(batch, c, count, read_number(address, (here + c) * LANES + lane))
+        put(batch, more + RATE_END, count, read_number(batch, flags * LANES + lane))
+        put(batch, more + OWNER, count, float(address))
+        put(batch, more + PLACE, count, float(here))
+        put(batch, more + LANE, count, float(lane))
+
+    @jit
+    def search(address, high, size, batch, count, trace):
+        """Return the number of pairs that wait in the batch; springs with kinks have zero changes."""
+        zero = splat(0.0)
+        for i in range(high - size + 1, high + 1):
+            here = i * record
+            at = here + entries
+            rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
+            rate_end = read_lanes(address, at + V_END) - read_lanes(address, at + V_END - record)
+            a, b = rate_end * rate_sign, read_lanes(address, at + Z_END) * z_sign
+            lowest = where_less(a, b, a, b)
+            start = read_lanes(address, here + rates) + read_lanes(address, here + rates + 1)
+            start = start * rate_sign
+            lowest = where_less(start, lowest, start, lowest)
+            if pieces is not None:
+                spring = Spring(address, here + length, length, here + constants)
+                away = constant_of(spring, pieces.sign) * read_lanes(address, at + Z_END)
+                away = magnitude(away - constant_of(spring, pieces.middle))
+                hold = constant_of(spring, pieces.hold)
+                hold = where_less(constant_of(spring, pieces.half), away, zero, hold)
+                write_constant(spring, pieces.hold, hold)
+                lowest = where_less(hold, splat(1.0), splat(-1.0), lowest)
+            has_kink = any_less(lowest, zero)
+            write_number(address, (at + HAS_KINK) * LANES, 1.0 if has_kink else 0.0)
+            if has_kink:
+                for c in range(CHANGE, CHANGE + 1 + N_MOMENTS):
+                    write_lanes(address, at + c, zero)
+                write_lanes(batch, flags, rate_end)
+                lanes = lanes_less(lowest, zero)
+                while lanes != 0:
+                    pack(address, here, first_lane(lanes), batch, count)
+                    lanes &= lanes - 1
+                    count += 1
+                    if count == LANES:
+                        turn(batch, count, trace)
+                        count = 0
+        return count
+
+    return search
+
+
+BLOCK = 8  # springs, whose coefficients fill half of a first cache of 32 KB
+SHORT = 16  # springs of a chain that is one block: those of two would be read as often
+
+
+@cache
+def series_of(series, repeats):
+    """Return the function that expands all series of a step, and sums them up.
+
+    One that `repeats` a step takes its beginning from a tape. It leaves the displacements there, and sums up
+    what the search for kinks needs.
+
+    It returns the number of pairs with kinks that wait in the batch.
+    """
+    first, others, order = orders_from(series, 0), orders_from(series, 1), series.order
+    finish, kinks, restore = finish_of(series, not repeats), series.branch is not None, tape_of(series)[1]
+    search = search_of(series) if kinks else None
+
+    @jit
+    def expand(group, begun, batch, trace):
+        """`begun` tells whether order 0 is done; in a step that is repeated: the address of its beginning."""
+        address, _, modal, n = group
+        largest = n if modal != 0 or n <= SHORT else BLOCK
+        high, count = n, 0
+        while high > 0:
+            size = largest if high > largest else high
+            if repeats:  # and the spring below as well
+                top = high if high == n else high - 1
+                restore(group, begun, top, size + top - high + (1 if size < high else 0))
+            if repeats or not begun:
+                first(address, modal, n, high, size)
+            top = high + 1 if high + 1 < n else n
+            others(address, modal, n, top, size - 1 + top - high if size < high else top)
+            if kinks or not repeats:
+                top = high + order if high + order < n else n
+                finish(address, n, top, size - order + top - high if size < high else top)
+            if kinks:
+                top = high + order + 1 if high + order + 1 < n else n
+                own = size - order - 1 + top - high if size < high else top
+                count = search(address, top, own, batch, count, trace)
+            high -= size
+        return count
+
+    return expand
+
 
 TOO_FAR = 10.0  # above the tolerance: steps are repeated
 LARGEST_Z = 1e-2  # last coefficient of z: above it the series are of no use

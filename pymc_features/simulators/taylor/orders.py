@@ -19,7 +19,7 @@ from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
 from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes
-from pymc_features.simulators.taylor.ground.projection import DEGREE
+from pymc_features.simulators.taylor.ground import DEGREE
 from pymc_features.simulators.taylor.layout import (
     CURVED,
     DASHPOT,

@@ -4,20 +4,21 @@ import numpy as np
 
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import aligned
-from pymc_features.simulators.taylor.ground.spans import Spans
+from pymc_features.simulators.taylor.ground import Spans
 from pymc_features.simulators.taylor.kinks import batch_size
 from pymc_features.simulators.taylor.layout import (
     DASHPOT,
     DRAG,
     LOST,
+    MAX_STEPS,
     MOBILITY,
+    NO_TAPE,
     PEAK,
     RATE_SIGN,
     Z_SIGN,
     group_size,
     layout_of,
 )
-from pymc_features.simulators.taylor.tape import MAX_STEPS, NO_TAPE
 
 LARGEST = 1e100  # of a parameter: none overflows on its way
 LEAST_PEAK = 1e-2  # of the accelerations of a chain over that of the ground: records begin at zero

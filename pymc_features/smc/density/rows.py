@@ -9,7 +9,7 @@ from pymc.pytensorf import compile as compile_function
 from pytensor import shared as make_shared
 from pytensor.tensor.random.type import RandomGeneratorType
 
-from pymc_features.simulators.reduced.known import KNOWN
+from pymc_features.simulators.linear.known import KNOWN
 from pymc_features.smc.density.compilation import INTERPRETED, with_mode
 from pymc_features.smc.density.graph import DensityGraph, largest_result
 from pymc_features.smc.density.nodes import goes_row_by_row, simulator_functions

@@ -7,8 +7,7 @@ import numba
 import numpy as np
 
 from pymc_features.simulators.compiled.arrays import ascending
-from pymc_features.simulators.compiled.jit import KernelCacheLocator, jit
-from pymc_features.simulators.compiled.parts import Kernel, PartLibrary, PartLowering
+from pymc_features.simulators.compiled.jit import Kernel, KernelCacheLocator, PartLibrary, PartLowering, jit
 from support.hooks.checks import attributes_read, check
 
 

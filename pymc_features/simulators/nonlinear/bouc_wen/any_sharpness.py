@@ -22,8 +22,7 @@ from pymc_features.simulators.nonlinear.bouc_wen.series import (
     loss_of,
     tangents,
 )
-from pymc_features.simulators.taylor.adjoint.powers import add_power
-from pymc_features.simulators.taylor.adjoint.series import Adjoint, correlation
+from pymc_features.simulators.taylor.adjoint.series import Adjoint, add_power, correlation
 from pymc_features.simulators.taylor.powers import (
     ACROSS,
     COEFFICIENTS,
@@ -35,10 +34,10 @@ from pymc_features.simulators.taylor.powers import (
     MIDDLE,
     N_CONSTANTS,
     WHOLE,
+    choose_polynomial,
     power_constants,
     shapes_of,
 )
-from pymc_features.simulators.taylor.ranges import choose_polynomial
 from pymc_features.simulators.taylor.series import (
     RATE,
     Group,

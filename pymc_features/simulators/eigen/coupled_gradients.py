@@ -5,17 +5,15 @@ import numpy as np
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import LANES, load, splat, store
 from pymc_features.simulators.compiled.vector_memory import new_vectors
-from pymc_features.simulators.derivatives.pair_differences import (
-    add_mass_terms,
-    multiply_left,
-    poles_apart,
-    put_number,
-    write_differences,
-    write_right,
+from pymc_features.simulators.eigen.complex_modes import (
+    PANEL,
+    check_sums,
+    fill_lanes,
+    new_complex,
+    new_oscillator_pairs,
+    settle_panel,
+    start_panel,
 )
-from pymc_features.simulators.derivatives.pair_lanes import complete_sums, write_pair
-from pymc_features.simulators.derivatives.pair_memory import new_pairs
-from pymc_features.simulators.eigen.complex_modes import PANEL, new_complex, settle_panel, start_panel
 from pymc_features.simulators.eigen.coupled import (
     all_columns,
     check_damping,
@@ -24,18 +22,28 @@ from pymc_features.simulators.eigen.coupled import (
     sort_modes,
     write_sensors,
 )
-from pymc_features.simulators.eigen.damping_matrices import filled_places, is_never_negative
 from pymc_features.simulators.eigen.matrices import (
     all_diagonal,
     assemble_lanes,
+    filled_places,
+    is_never_negative,
     multiply_lanes,
     store_four,
 )
-from pymc_features.simulators.eigen.pairs import fill_lanes, new_oscillator_pairs
-from pymc_features.simulators.eigen.residues import check_sums
+from pymc_features.simulators.eigen.pair_gradients import (
+    add_mass_terms,
+    complete_sums,
+    multiply_left,
+    new_pairs,
+    poles_apart,
+    put_number,
+    write_differences,
+    write_pair,
+    write_right,
+)
 from pymc_features.simulators.eigen.structures import new_structures, solve_structures
 from pymc_features.simulators.numbers.compiled_numbers import new_dual
-from pymc_features.simulators.oscillators.fast_modes import highest_coupled_step
+from pymc_features.simulators.oscillators.modal_system import highest_coupled_step
 from pymc_features.simulators.oscillators.samples import of_population
 from pymc_features.simulators.oscillators.sums import new_gradient_walk, sum_history
 

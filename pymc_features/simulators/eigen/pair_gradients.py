@@ -10,19 +10,171 @@ is K, C or M. For k = l the quotient is v_k'do_k/dlambda. Where it is M two term
 divided differences of z^2 lambda/(z - lambda) leave: the sum of lambda_k p_k x_k x_k' is the identity.
 
 Of two pairs of poles with i_k and i_l the differences are numbers of four parts, of 1, i_k, i_l and i_k i_l.
+
+Where pairs of complex modes of structures lie, one structure in each lane; `pair_lanes` fills it.
+
+Pairs of complex modes on their way through a record, with the sums that their gradients need.
+
+One structure in each vector lane. A number a + b i with i^2 = -1, or +1 where both poles of the pair are
+real, stands for both modes of a pair, see `eigen.complex_modes`; what is summed over both is twice its real
+part. A mode is f' = lambda f + a, of which the march has the displacement and the velocity of its pair with
+their derivatives by s = z z* and d = -(z + z*), z = lambda h, see `oscillators.exact_step`:
+
+    f = -h u,   u = R + D J,   D = displacement / h^2,   R = velocity / h + D d / 2,   J = h b i,
+    du/dz = z* du/ds - du/dd + D / 2.
 """
+
+from typing import NamedTuple
+
+import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import load, magnitude, splat, store, where_less
 from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.derivatives.pair_lanes import order_of
-from pymc_features.simulators.derivatives.pair_memory import number, put_number
-from pymc_features.simulators.eigen.pair_numbers import over, times
+from pymc_features.simulators.compiled.vector_memory import new_vectors
+from pymc_features.simulators.eigen.complex_modes import (
+    at_sensor,
+    input_factor,
+    mode_places,
+    norm,
+    over,
+    pole_of,
+    times,
+    write_shares,
+)
+from pymc_features.simulators.numbers.compiled_numbers import new_quadratic
+from pymc_features.simulators.numbers.rows import view
+from pymc_features.simulators.oscillators.arguments import (
+    ABSOLUTE_ACCELERATION,
+    RELATIVE_ACCELERATION,
+    RELATIVE_VELOCITY,
+)
+from pymc_features.simulators.oscillators.modal_lanes import PARTS
 from pymc_features.simulators.oscillators.reduction import CLOSE
 
 
+class PairLanes(NamedTuple):
+    """Pairs of complex modes of structures, one in each lane. Two vectors for each complex number.
+
+    Attributes
+    ----------
+    poles : array (3 m, LANES)
+        a, b and i^2.
+    left, right : array (2 m, LANES)
+        1 / alpha and x'Gamma / alpha, alpha = x' (2 lambda + D) x.
+    seen : array (2 s m, LANES)
+        S x, of sensor j and mode r in rows 2 (j m + r) ...
+    vectors : array (2 m n, LANES)
+        Phi x, of entry i and mode r in rows 2 (i m + r) ...
+    sums : array (4 s m, LANES)
+        Of dL/dy_j times the output of a pole, and its derivative by lambda.
+    of_ground : array (s, LANES)
+        Of dL/dy_j times the input.
+    """
+
+    poles: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    seen: np.ndarray
+    vectors: np.ndarray
+    sums: np.ndarray
+    of_ground: np.ndarray
+
+
 @jit
-def pole_of(pairs, r):
+def new_pairs(n, m, n_sensors):
+    """Room for structures of n degrees of freedom and m pairs of modes."""
+    s = n_sensors + n_sensors % 2
+    return PairLanes(
+        poles=new_vectors(3 * m),
+        left=new_vectors(2 * m),
+        right=new_vectors(2 * m),
+        seen=new_vectors(2 * s * m),
+        vectors=new_vectors(2 * m * n),
+        sums=new_vectors(4 * s * m),
+        of_ground=new_vectors(s),
+    )
+
+
+@jit
+def put_number(matrix, i, number):
+    """Write a complex number."""
+    store(matrix, 2 * i, number[0])
+    store(matrix, 2 * i + 1, number[1])
+
+
+@jit
+def number(matrix, i):
+    """A complex number."""
+    return load(matrix, 2 * i), load(matrix, 2 * i + 1)
+
+
+@jit
+def order_of(quantity):
+    """How many times the displacement is differentiated."""
+    if quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION):
+        return 2
+    return 1 if quantity == RELATIVE_VELOCITY else 0
+
+
+@jit
+def write_pair(oscillators, pairs, modes, r, p, quantity):
+    """Write pair r, place p of the panel, into the pairs of `eigen.pairs` and `PairLanes`."""
+    at, m = mode_places(modes), modes.omega.shape[0]
+    (a, b), square = pole_of(at, p)
+    store(pairs.poles, 3 * r, a)
+    store(pairs.poles, 3 * r + 1, b)
+    store(pairs.poles, 3 * r + 2, square)
+    put_number(pairs.left, r, norm(at, p))
+    put_number(pairs.right, r, input_factor(at, p))
+    for j in range(oscillators.forced.shape[0]):
+        put_number(pairs.seen, j * m + r, at_sensor(at, j, p))
+    write_shares(oscillators, at, r, p, quantity)
+
+
+@jit
+def marched(products, row, after, r, rows, ground):
+    """Sum over a mode less what stands before the input in its states, with derivatives."""
+    x = products[row]
+    v, s, d = after[r], after[rows + r], after[2 * rows + r]
+    return x.v - v * ground, x.s - s * ground, x.d - d * ground
+
+
+@jit
+def complete_sums(pairs, lot, sums, quantity, widths):
+    """Write the sums of dL/dy times a pole's output and its derivative by lambda."""
+    like, h, m = widths.structure, lot.step, lot.n_modes // 2
+    rows, poles, found = lot.after.shape[0] // PARTS, view(pairs.poles, like), view(pairs.sums, like)
+    after, of_ground, order = view(lot.after, like), view(pairs.of_ground, like), order_of(quantity)
+    for j in range(lot.n_sensors):
+        ground = sums.ground[j]
+        of_ground[j] = ground
+        for r in range(m):
+            a, b, square = poles[3 * r], poles[3 * r + 1], poles[3 * r + 2]
+            at = j * sums.modes + r
+            q, q_s, q_d = marched(sums.products, at, after, r, rows, ground)
+            v, v_s, v_d = marched(sums.products, at + m, after, m + r, rows, ground)
+            scale, half = 1.0 / (h * h), (0.0 - h) * a  # d / 2
+            q, q_s, q_d = scale * q, scale * q_s, scale * q_d
+            scale = 1.0 / h
+            c = scale * v + half * q
+            c_s, c_d = scale * v_s + half * q_s, scale * v_d + half * q_d + 0.5 * q
+            turn = h * b  # of J in units of i
+            real = 0.5 * q - half * c_s - turn * turn * square * q_s - c_d
+            imaginary = 0.0 - turn * (half * q_s + c_s + q_d)
+            pole = new_quadratic(a, b, square)
+            output = new_quadratic((0.0 - h) * c, (0.0 - h) * (turn * q), square)
+            slope = new_quadratic((0.0 - h * h) * real, (0.0 - h * h) * imaginary, square)
+            for _ in range(order):
+                slope = pole * slope + output
+                output = pole * output
+            row = 4 * (j * m + r)
+            found[row], found[row + 1] = output.re, output.im
+            found[row + 2], found[row + 3] = slope.re, slope.im
+
+
+@jit
+def pole_at(pairs, r):
     """a, b and i^2 of pair r."""
     return load(pairs.poles, 3 * r), load(pairs.poles, 3 * r + 1), load(pairs.poles, 3 * r + 2)
 
@@ -39,12 +191,12 @@ def poles_apart(pairs, duration):
     m, one, zero = pairs.poles.shape[0] // 3, splat(1.0), splat(0.0)
     apart = one
     for k in range(m):
-        a, b, square = pole_of(pairs, k)
+        a, b, square = pole_at(pairs, k)
         size = magnitude(a) + b
         memory = where_less(one, duration * magnitude(a), one / magnitude(a), splat(duration))
         memory = larger(memory, 3.0 / size)
         for r in range(k):
-            c, d, other = pole_of(pairs, r)
+            c, d, other = pole_at(pairs, r)
             across, along = magnitude(b - d), magnitude(a - c)
             gap = along + across
             # real poles, of one pair or of both
@@ -59,7 +211,7 @@ def poles_apart(pairs, duration):
 def own_differences(pairs, r, n_sensors):
     """v_r'o_r, and the differences of pole r with itself and with its partner."""
     m, zero = pairs.poles.shape[0] // 3, splat(0.0)
-    _, b, square = pole_of(pairs, r)
+    _, b, square = pole_at(pairs, r)
     own = same = cross = (zero, zero)
     for j in range(n_sensors):
         seen, row = number(pairs.seen, j * m + r), 2 * (j * m + r)
@@ -78,7 +230,7 @@ def write_differences(pairs, k, n_sensors, differences):
     Those with pair r, of four parts, stand in its columns 2 r and 2 r + 1. Returns v_k'o_k.
     """
     m, half = pairs.poles.shape[0] // 3, splat(0.5)
-    a, b, square = pole_of(pairs, k)
+    a, b, square = pole_at(pairs, k)
     own, same, cross = own_differences(pairs, k, n_sensors)
     top, low = 4 * k * m, 4 * k * m + 2 * m
     for r in range(m):
@@ -93,7 +245,7 @@ def write_differences(pairs, k, n_sensors, differences):
             seen, output = number(pairs.seen, j * m + k), number(pairs.sums, 2 * (j * m + r))
             p0, p1 = p0 - seen[0] * output[0], p1 - seen[1] * output[0]
             q0, q1 = q0 - seen[0] * output[1], q1 - seen[1] * output[1]
-        c, d, other = pole_of(pairs, r)
+        c, d, other = pole_at(pairs, r)
         gap = a - c
         # over gap + b i_k - d i_l: times gap + b i_k + d i_l, over a number with i_k only
         unlike = where_less(square * other, splat(0.0), b * b + d * d, (b - d) * (b + d))
@@ -128,7 +280,7 @@ def multiply_left(pairs, by_pole, left):
     m = pairs.poles.shape[0] // 3
     n = pairs.vectors.shape[0] // (2 * m)
     for r in range(m):
-        a, b, square = pole_of(pairs, r)
+        a, b, square = pole_at(pairs, r)
         factor = number(pairs.left, r)
         for i in range(n):
             if by_pole:  # the imaginary part has the sign that the sum over both poles gives it

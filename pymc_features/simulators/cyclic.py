@@ -1,0 +1,471 @@
+"""The functions of the family of specimens; each takes NumPy arrays and runs compiled code.
+
+A population is a loop over its particles, for each of which the history of the force is kept, and with a
+gradient its derivatives by the fourteen parameters. That costs some 3 microseconds for each displacement, and
+three times as much with the gradient.
+
+The law of Bouc, Wen, Baber and Noori along a branch on which the displacement goes one way.
+
+With the displacement d, the dimensionless internal variable z, at rest zero, and the dimensionless energy e,
+
+    f = a k d + (1 - a) k d_y z,
+    d_y z' = d' h(z, e) {1 - nu(e) |z|^n [gamma + beta sign(d' z)]} / eta(e),      d_y e' = z d',
+
+where k is the initial stiffness, d_y the yield displacement and a the post-yield ratio; the hysteretic part
+has taken up the energy (1 - a) k d_y^2 e. Strength and stiffness degrade with it, and loops are pinched:
+
+    nu = 1 + delta_nu e,    eta = 1 + delta_eta e,
+    h = 1 - zeta_1 exp{-[z sign(d') - q z_u]^2 / zeta_2^2},    z_u = [nu (beta + gamma)]^(-1/n),
+    zeta_1 = zeta_s (1 - exp(-p e)),    zeta_2 = (psi + delta_psi e) (lambda + zeta_1).
+
+Nothing here depends on time. With x the way gone since the last reversal, over d_y, and w = z sign(d'), one
+branch obeys
+
+    dw/dx = h (1 - nu |w|^n c) / eta,    de/dx = w,    c = gamma + beta sign(w).
+
+w grows along it, and passes zero once at most: there c jumps and |w|^n has a kink.
+
+References
+----------
+T. T. Baber & Y.-K. Wen, J. Eng. Mech. Div. ASCE 107 (1981) 1069-1087 (degradation). T. T. Baber & M. N.
+Noori, J. Eng. Mech. 111 (1985) 1010-1026 and J. Vib. Acoust. 108 (1986) 411-420 (pinching). G. C. Foliente,
+J. Struct. Eng. 121 (1995) 1013-1022: h, zeta_1, zeta_2 and z_u as above, here with A = 1, which no data can
+tell from the other parameters (F. Ma et al., J. Appl. Mech. 71 (2004) 342-349).
+
+From the displacement of a specimen to its force, by Dormand and Prince's method along each branch.
+
+Between two given displacements the path is straight. It is integrated in x, the way gone over d_y, from the
+state (w, e, r), r the way that is left:
+
+    w' = F(w, e),    e' = w,    r' = -1.
+
+A step that would carry w across zero ends there instead, exactly: w itself becomes the independent variable
+(M. Henon, Physica D 5 (1982) 412-414),
+
+    w' = 1,    e' = w / F,    r' = -1 / F.
+
+So all steps are on one side of the kink of the law. Their lengths follow from the difference to the embedded
+method of fourth order, and, where loops are pinched, from the width of the pinch.
+
+Derivatives by the parameters are carried along: what is differentiated is the method itself, with the parts
+in which the steps divide what is left as they were found.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.oscillators.arguments import Excitation, ground_at, n_outputs
+from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
+
+NAMES = (
+    "stiffness",
+    "yield_displacement",
+    "post_yield_ratio",
+    "sharpness",
+    "beta",
+    "gamma",
+    "strength_degradation",
+    "stiffness_degradation",
+    "slip",
+    "slip_rate",
+    "initiation",
+    "spread",
+    "spread_rate",
+    "severity",
+)
+N_PARAMETERS = len(NAMES)
+STIFFNESS, REACH, RATIO, SHARPNESS, BETA, GAMMA, D_NU, D_ETA, SLIP, SLIP_RATE, Q, PSI, D_PSI, SEVERITY = (
+    range(N_PARAMETERS)
+)
+
+
+class SpecimenParameters(NamedTuple):
+    """What a specimen is.
+
+    Attributes
+    ----------
+    law : array (14,), of a population (p, 14)
+        In the order of `NAMES`: k [N/m], d_y [m], a, n, beta, gamma, delta_nu, delta_eta, zeta_s, p, q, psi,
+        delta_psi and lambda [-].
+    """
+
+    law: np.ndarray
+
+
+@jit
+def is_specimen(law):
+    """Whether loops dissipate and no denominator vanishes: -beta < gamma <= beta, degradation, h > 0."""
+    spring = 0.0 < law[STIFFNESS] < np.inf and 0.0 < law[REACH] < np.inf and 0.0 <= law[RATIO] <= 1.0
+    shape = 1.0 <= law[SHARPNESS] < np.inf and 0.0 < law[BETA] < np.inf
+    loops = shape and -law[BETA] < law[GAMMA] <= law[BETA]
+    for i in (D_NU, D_ETA, SLIP, SLIP_RATE, Q, D_PSI):
+        loops = loops and 0.0 <= law[i] < np.inf
+    pinched = law[SLIP] < 1.0 and 0.0 < law[PSI] < np.inf and 0.0 < law[SEVERITY] < np.inf
+    return spring and loops and pinched
+
+
+@jit
+def rate(law, w, e, sign, partials):
+    """dw/dx on the side of w that `sign` names; its derivatives by w, e and the parameters if asked for.
+
+    Parameters
+    ----------
+    partials : array (16,) or (0,)
+        Written: by w, by e, then by each parameter in the order of `NAMES`, zero for the first three.
+    """
+    n, total, wants = law[SHARPNESS], law[BETA] + law[GAMMA], partials.size > 0
+    nu, eta = 1.0 + law[D_NU] * e, 1.0 + law[D_ETA] * e
+    size, c = abs(w), law[GAMMA] + law[BETA] * sign
+    if n == 2.0:
+        steep = size
+    elif n == 1.0:
+        steep = 1.0
+    else:
+        steep = size ** (n - 1.0)
+    power = steep * size
+    bracket = 1.0 - nu * power * c
+    if law[SLIP] == 0.0 and not wants:
+        return bracket / eta
+    decay = np.exp(-law[SLIP_RATE] * e)
+    zeta_1 = law[SLIP] * (1.0 - decay)
+    wide, severe = law[PSI] + law[D_PSI] * e, law[SEVERITY] + zeta_1
+    zeta_2 = wide * severe
+    z_u = (nu * total) ** (-1.0 / n)
+    u = (w - law[Q] * z_u) / zeta_2
+    bell = np.exp(-u * u)
+    h = 1.0 - zeta_1 * bell
+    value = h * bracket / eta
+    if wants:
+        partials[:] = 0.0
+        by, by_bracket = partials[2:], -h / eta  # of nu |w|^n c
+        by_zeta_1, by_u = -bell * bracket / eta, 2.0 * zeta_1 * bell * u * bracket / eta
+        by_zeta_2, by_z_u = -by_u * u / zeta_2, -by_u * law[Q] / zeta_2
+        by_zeta_1 += by_zeta_2 * wide
+        by_nu = by_bracket * power * c - by_z_u * z_u / (n * nu)
+        by_slip_and_decay = by_zeta_1 * law[SLIP] * decay
+        partials[0] = by_bracket * nu * n * steep * sign * c + by_u / zeta_2
+        partials[1] = by_nu * law[D_NU] - value * law[D_ETA] / eta
+        partials[1] += by_slip_and_decay * law[SLIP_RATE] + by_zeta_2 * severe * law[D_PSI]
+        if size > 0.0:
+            by[SHARPNESS] = by_bracket * nu * power * np.log(size) * c
+        by[SHARPNESS] += by_z_u * z_u * np.log(nu * total) / (n * n)
+        by[GAMMA] = by_bracket * nu * power - by_z_u * z_u / (n * total)
+        by[BETA] = by_bracket * nu * power * sign - by_z_u * z_u / (n * total)
+        by[D_NU], by[D_ETA] = by_nu * e, -value * e / eta
+        by[SLIP], by[SLIP_RATE] = by_zeta_1 * (1.0 - decay), by_slip_and_decay * e
+        by[Q] = -by_u * z_u / zeta_2
+        by[PSI], by[D_PSI] = by_zeta_2 * severe, by_zeta_2 * severe * e
+        by[SEVERITY] = by_zeta_2 * wide
+    return value
+
+
+# J. R. Dormand & P. J. Prince, J. Comput. Appl. Math. 6 (1980) 19-26, table 2 (RK5(4)7M); the last row gives
+# the result, ERROR the difference to the result of fourth order.
+STAGES = np.array(
+    [
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        (1 / 5, 0.0, 0.0, 0.0, 0.0, 0.0),
+        (3 / 40, 9 / 40, 0.0, 0.0, 0.0, 0.0),
+        (44 / 45, -56 / 15, 32 / 9, 0.0, 0.0, 0.0),
+        (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0.0, 0.0),
+        (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0.0),
+        (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+    ]
+)
+ERROR = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
+LAST = 6
+
+TOLERANCE = 1e-9  # of w and of e / (1 + e) in one step
+FIRST_STEP, LONGEST_STEP = 0.1, 1.0  # in units of d_y
+NEAR_ZERO, SMOOTH = 2e-3, 3.0  # a step at w = 0, and n from which none is needed
+MOST_STEPS = 5000  # between two displacements
+W, E, LEFT = range(3)
+
+
+@jit
+def take_step(law, state, change, step, step_change, by_w, work):
+    """Write the result of a step and its derivatives; return its error.
+
+    Parameters
+    ----------
+    state, change : array (3,), (3, columns)
+        w, e and r, and their derivatives by the parameters; no columns if none are wanted.
+    step, step_change : float, array (columns,)
+        Length in x, or in w.
+    by_w : bool
+        Whether w is the independent variable.
+    work : tuple of array
+        Slopes (7, 3) and (7, 3, columns), result (3,) and (3, columns), and partial derivatives.
+    """
+    slopes, slope_changes, new, new_change, partials = work
+    columns = change.shape[1]
+    sign = -1.0 if state[W] < 0.0 else 1.0
+    for s in range(LAST + 1):
+        for i in range(3):
+            total = 0.0
+            for b in range(s):
+                total += STAGES[s, b] * slopes[b, i]
+            new[i] = state[i] + step * total
+            for p in range(columns):
+                inner = 0.0
+                for b in range(s):
+                    inner += STAGES[s, b] * slope_changes[b, i, p]
+                new_change[i, p] = change[i, p] + step * inner + step_change[p] * total
+        w = new[W]
+        value = rate(law, w, new[E], sign, partials)
+        if by_w:
+            slopes[s, W], slopes[s, E], slopes[s, LEFT] = 1.0, w / value, -1.0 / value
+        else:
+            slopes[s, W], slopes[s, E], slopes[s, LEFT] = value, w, -1.0
+        for p in range(columns):
+            d_w = new_change[W, p]
+            d_value = partials[0] * d_w + partials[1] * new_change[E, p] + partials[2 + p]
+            if by_w:
+                slope_changes[s, W, p] = 0.0
+                slope_changes[s, E, p] = (d_w - w / value * d_value) / value
+                slope_changes[s, LEFT, p] = d_value / (value * value)
+            else:
+                slope_changes[s, W, p] = d_value
+                slope_changes[s, E, p] = d_w
+                slope_changes[s, LEFT, p] = 0.0
+    return step_error(state, slopes, step, by_w)
+
+
+@jit
+def step_error(state, slopes, step, by_w):
+    """Largest error of a step: of w, or of the way that is left, and of e beside 1 + e."""
+    of_first, of_energy = 0.0, 0.0
+    for s in range(LAST + 1):
+        of_first += ERROR[s] * slopes[s, LEFT if by_w else W]
+        of_energy += ERROR[s] * slopes[s, E]
+    return abs(step) * max(abs(of_first), abs(of_energy) / (1.0 + abs(state[E])))
+
+
+@jit
+def longest(law, w, e, columns):
+    """A step that cannot miss the pinch: half its width, or half the distance to it.
+
+    Nor, where derivatives are wanted, the singularity of |w|^n log|w| at zero, the derivative by n.
+    """
+    near = LONGEST_STEP
+    if columns and law[SHARPNESS] < SMOOTH:
+        near = max(NEAR_ZERO, 0.5 * abs(w))
+    if law[SLIP] == 0.0:
+        return near
+    zeta_1 = law[SLIP] * (1.0 - np.exp(-law[SLIP_RATE] * e))
+    zeta_2 = (law[PSI] + law[D_PSI] * e) * (law[SEVERITY] + zeta_1)
+    z_u = ((1.0 + law[D_NU] * e) * (law[BETA] + law[GAMMA])) ** (-1.0 / law[SHARPNESS])
+    return min(near, LONGEST_STEP, max(0.5 * zeta_2, 0.5 * abs(w - law[Q] * z_u)))
+
+
+@jit
+def go(law, state, change, suggested, step_change, work):
+    """Take a specimen along a straight path, `state[LEFT]` long; return a step for the next one, or NaN."""
+    _, _, new, new_change, _ = work
+    for _ in range(MOST_STEPS):
+        left = state[LEFT]
+        if left <= 0.0:
+            return suggested
+        part = min(suggested, longest(law, state[W], state[E], change.shape[1])) / left
+        part = 1.0 if part >= 1.0 else min(part, 0.5)
+        step_change[:] = part * change[LEFT]
+        error = take_step(law, state, change, part * left, step_change, False, work)
+        factor = 0.9 * (TOLERANCE / max(error, 1e-5 * TOLERANCE)) ** 0.2
+        if not error <= TOLERANCE:
+            if not error < np.inf:
+                return np.nan
+            suggested = max(factor, 0.1) * part * left
+            continue
+        longer = min(factor, 5.0) * part * left
+        suggested = min(max(longer, suggested) if part == 1.0 else longer, LONGEST_STEP)
+        if state[W] < 0.0 < new[W]:
+            to_zero(law, state, change, part, step_change, work)
+        elif part == 1.0:
+            new[LEFT] = 0.0
+        state[:] = new
+        change[:] = new_change
+    return np.nan
+
+
+@jit
+def to_zero(law, state, change, part, step_change, work):
+    """Step to w = 0, or, if that is too far for one step, on the way to it."""
+    _, _, new, new_change, _ = work
+    left, into = state[LEFT], 1.0
+    while into > 1e-3:
+        step_change[:] = -into * change[W]
+        error = take_step(law, state, change, -into * state[W], step_change, True, work)
+        if error <= TOLERANCE:
+            break
+        into *= 0.5
+    if new[LEFT] < 0.0:  # by less than the errors, the way ends before
+        step_change[:] = part * change[LEFT]
+        take_step(law, state, change, part * left, step_change, False, work)
+        new[LEFT] = 0.0 if part == 1.0 else new[LEFT]
+    elif into == 1.0:
+        new[W] = 0.0
+        new_change[W] = 0.0
+
+
+@jit
+def march(law, excitation, force, gradient):
+    """Write the force (u,) [N] at the output samples, and its derivatives (14, u) by the parameters.
+
+    Parameters
+    ----------
+    law : array (14,)
+        In the order of `law.NAMES`.
+    excitation : Excitation
+        The displacement [m] as its input. The specimen is untouched at the displacement zero.
+    force, gradient : array (u,), (14, u) or (0, u)
+        Written; NaN where the parameters describe no specimen, or the integration fails.
+    """
+    displacement, _, substeps, stride, _ = excitation
+    columns = gradient.shape[0]
+    state, change, step_change = np.zeros(3), np.zeros((3, columns)), np.zeros(columns)
+    work = (
+        np.zeros((LAST + 1, 3)),
+        np.zeros((LAST + 1, 3, columns)),
+        np.zeros(3),
+        np.zeros((3, columns)),
+        np.zeros(2 + columns if columns else 0),
+    )
+    k, reach, ratio = law[STIFFNESS], law[REACH], law[RATIO]
+    suggested = FIRST_STEP if is_specimen(law) else np.nan
+    before, direction = 0.0, 1.0
+    for fine in range((displacement.size - 1) * substeps + 1):
+        d = ground_at(displacement, fine, substeps)
+        if d != before and suggested == suggested:
+            if (d - before) * direction < 0.0:
+                direction = -direction
+                state[W] = -state[W]
+                change[W] = -change[W]
+            state[LEFT] = abs(d - before) / reach
+            change[LEFT] = 0.0
+            if columns:
+                change[LEFT, REACH] = -state[LEFT] / reach
+            suggested = go(law, state, change, suggested, step_change, work)
+            before = d
+        if fine % stride == 0:
+            j = fine // stride
+            z = direction * state[W]
+            inner = (1.0 - ratio) * k
+            force[j] = ratio * k * d + inner * reach * z
+            if columns:
+                gradient[:, j] = inner * reach * direction * change[W]
+                gradient[STIFFNESS, j] += force[j] / k
+                gradient[REACH, j] += inner * z
+                gradient[RATIO, j] += k * (d - reach * z)
+    if not np.isfinite(suggested):
+        force[:] = np.nan
+        gradient[:] = np.nan
+
+
+def numbers(array) -> np.ndarray:
+    """A copy as float64, in C order: one compiled kernel serves all arrays."""
+    return np.array(array, dtype=np.float64, order="C")
+
+
+def forces(law, excitation, *, with_gradient=False) -> tuple[np.ndarray, np.ndarray]:
+    """Force (u,) [N] of one specimen, and its derivatives (14, u), or (0, u)."""
+    law, displacement = numbers(law), numbers(excitation.acceleration)
+    if law.shape != (N_PARAMETERS,):
+        raise ValueError(f"`law` must have the {N_PARAMETERS} parameters of a specimen, got {law.shape}.")
+    given = Excitation(displacement, *map(int, (1, excitation.substeps, excitation.stride)))
+    total = n_outputs(displacement.size, given.substeps, given.stride)
+    force, gradient = np.empty(total), np.empty((N_PARAMETERS if with_gradient else 0, total))
+    march(law, given, force, gradient)
+    return force, gradient
+
+
+def at_sensors(wanted, history) -> np.ndarray:
+    """The only history (..., u) as those of the sensors asked for, (..., s, u)."""
+    return np.repeat(history[..., None, :], np.size(wanted.sensors), axis=-2)
+
+
+def statistics(response, observed) -> np.ndarray:
+    """Statistics (s, 4) of the misfit y - g, see `misfit`."""
+    misfit, total = observed - response, response.shape[1]
+    squares = np.square(measured_difference(response, observed)).sum(axis=1)
+    increments = np.square(np.diff(misfit, axis=1)).sum(axis=1)
+    return np.stack([squares / total, increments / total, misfit[:, 0], misfit[:, -1]], axis=1)
+
+
+def response(parameters, excitation, wanted):
+    """Force (s, u)."""
+    return at_sensors(wanted, forces(parameters.law, excitation)[0])
+
+
+def misfit(parameters, excitation, wanted, observed):
+    """Statistics (s, 4)."""
+    return statistics(response(parameters, excitation, wanted), checked(observed, excitation, wanted))
+
+
+def population_misfit(parameters, excitation, wanted, observed):
+    """Statistics (p, s, 4)."""
+    return np.stack([misfit(SpecimenParameters(row), excitation, wanted, observed) for row in parameters.law])
+
+
+def checked(history, excitation, wanted) -> np.ndarray:
+    """Data or a cotangent, if it has the shape of the response."""
+    size = np.shape(excitation.acceleration)[-1]
+    expected = np.size(wanted.sensors), n_outputs(size, int(excitation.substeps), int(excitation.stride))
+    if np.shape(history) != expected:
+        raise ValueError(
+            "`observed`, or the cotangent, must have the shape (sensor, time) of the response, "
+            f"{expected}, got {np.shape(history)}."
+        )
+    return numbers(history)
+
+
+def response_gradient(parameters, excitation, wanted, cotangent):
+    """Gradient of sum_jk W_jk y_jk."""
+    _, gradient = forces(parameters.law, excitation, with_gradient=True)
+    return SpecimenParameters(gradient @ checked(cotangent, excitation, wanted).sum(axis=0))
+
+
+def misfit_gradient(parameters, excitation, wanted, observed, weights):
+    """Gradient of sum_jq c_jq times the statistics."""
+    force, gradient = forces(parameters.law, excitation, with_gradient=True)
+    cotangent = at_sensors(wanted, force)
+    weigh_history(cotangent, checked(observed, excitation, wanted), numbers(weights))
+    return SpecimenParameters(gradient @ cotangent.sum(axis=0))
+
+
+def population_gradient(parameters, excitation, wanted, observed, weights):
+    """Gradients (p, 14), or their sum (1, 14) where all particles share the parameters."""
+    law, rows = parameters.law, []
+    for k, own in enumerate(weights):
+        specimen = SpecimenParameters(law[k % len(law)])
+        rows.append(misfit_gradient(specimen, excitation, wanted, observed, own).law)
+    return SpecimenParameters(np.stack(rows) if len(law) > 1 else np.sum(rows, axis=0, keepdims=True))
+
+
+def response_tangent(parameters, excitation, wanted, directions):
+    """Derivative (s, u) along a direction."""
+    _, gradient = forces(parameters.law, excitation, with_gradient=True)
+    return at_sensors(wanted, numbers(directions[0]) @ gradient)
+
+
+def discrepancy_tangent(parameters, excitation, wanted, observed, directions):
+    """Derivative (s,) of the mean squares along a direction."""
+    force, gradient = forces(parameters.law, excitation, with_gradient=True)
+    observed = checked(observed, excitation, wanted)
+    difference = measured_difference(at_sensors(wanted, force), observed)
+    return 2.0 * (difference * (numbers(directions[0]) @ gradient)).mean(axis=1)
+
+
+KERNELS = {
+    "response": response,
+    "discrepancy": lambda *given: misfit(*given)[:, 0],
+    "misfit": misfit,
+    "response_gradient": response_gradient,
+    "misfit_gradient": misfit_gradient,
+    "response_tangent": response_tangent,
+    "discrepancy_tangent": discrepancy_tangent,
+    "population_discrepancy": lambda *given: population_misfit(*given)[..., 0],
+    "population_misfit": population_misfit,
+    "population_gradient": population_gradient,
+}

@@ -1,1 +1,0 @@
-"""A hysteretic specimen under a prescribed displacement: from its parameters to the force."""

@@ -1,1 +1,0 @@
-"""The ground acceleration as polynomials over spans of a record, for chains that take Taylor steps."""
