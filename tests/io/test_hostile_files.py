@@ -171,6 +171,7 @@ def test_promises_of_terabytes(tmp_path, name, write, match):
     [
         (145, 0x08, "list index out of range"),  # complex, without an imaginary part
         (152, 11, "11"),  # no type of dimensions
+        (128, 0x49, "a variable must be an array, type 14, got type 73"),
         (180, 0xFF, "a part announces 255 bytes, what holds it ends before"),
         (132, 0xFF, "a part announces .* bytes, what holds it ends before"),
     ],

@@ -73,8 +73,9 @@ def _read_5(path: Path, raw: memoryview) -> Iterator[tuple[str, np.ndarray]]:
                 raise ValueError(f"an array is cut, or must not be larger than {most_bytes(path):.3g} bytes")
             left -= len(whole)
             kind, part = next(_elements(memoryview(whole), order, 1), (0, b""))
-        if kind == ARRAY:
-            yield from _array_5([*_elements(part, order)], order, "", 0)
+        if kind != ARRAY:
+            raise ValueError(f"a variable must be an array, type {ARRAY}, got type {kind}")
+        yield from _array_5([*_elements(part, order)], order, "", 0)
 
 
 def _elements(raw: memoryview, order: str, multiple: int = 8) -> Iterator[tuple[int, memoryview]]:
