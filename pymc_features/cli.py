@@ -4,6 +4,7 @@ Most of it is imported when Ctrl-C is looked after, for that takes seconds.
 """
 
 import atexit
+import json
 import logging
 import os
 import signal
@@ -27,8 +28,8 @@ NEEDED = {
     "update": "pymc_features.update.run",
     "predict": "pymc_features.update.run",
     "report": "pymc_features.update.report.page",  # which needs no PyMC
-    "check": "pymc_features.update.report.terminal",
-    "init": "pymc_features.update.examples.write",
+    "check": "pymc_features.update.problem",
+    "init": "pymc_features.update.examples",
     "convert": "pymc_features.io",
 }
 
@@ -308,7 +309,7 @@ def reproduce(options, console):
 def update(options, console):
     """Update a structure as a configuration says, and write the report."""
     from pymc_features.update import run_update, write_outputs
-    from pymc_features.update.report.findings import as_json, findings
+    from pymc_features.update.report.document import as_json, document_of
     from pymc_features.update.report.terminal import summary
 
     config = Path(options.config)
@@ -326,27 +327,26 @@ def update(options, console):
             progress=progress,
             progressbar=console.is_terminal,
         )
-    found = findings(problem, result)
-    for part, style in summary(found):
+    document = document_of(problem, result, told)
+    result.attrs["document"] = json.dumps(document)
+    for part, style in summary(document):
         if isinstance(part, str):
             say(console, part, style)
         else:
             console.print(part)
-    for path in write_outputs(problem, result, options.out, told, found):
+    for path in write_outputs(problem, result, options.out):
         if path.parent == options.out:
             say(console, f"wrote {path}")
     if options.json:
-        print(as_json(found))
-    return EXIT_UNEXPLAINED if options.fail_on == "verdict" and not found.verdict.explains else 0
+        print(as_json(document))
+    return EXIT_UNEXPLAINED if options.fail_on == "verdict" and not document["verdict"]["explains"] else 0
 
 
 def predict(options, console):
     """Predict other motions with the posterior of a finished update."""
-    import json
-
     from pymc_features.storage import netcdf_bytes, write_atomically
-    from pymc_features.update.predictions import predicted_rows
-    from pymc_features.update.report.document import table_of_predictions, with_predictions
+    from pymc_features.update.predictions import predicted_rows, predicted_table
+    from pymc_features.update.report.document import put_predictions
     from pymc_features.update.report.page import write_page
     from pymc_features.update.report.terminal import drawn_table
     from pymc_features.update.run import predict_stored
@@ -354,8 +354,8 @@ def predict(options, console):
     config = Path(options.config)
     out = Path(options.out or config.with_name(f"{config.stem}-output"))
     result = predict_stored(config, out / "update.nc")
-    console.print(drawn_table(table_of_predictions(predicted_rows(result))))
-    result.attrs["document"] = json.dumps(with_predictions(json.loads(result.attrs["document"]), result))
+    console.print(drawn_table(predicted_table(predicted_rows(result))))
+    put_predictions(result)
     write_atomically(out / "update.nc", lambda path: path.write_bytes(netcdf_bytes(result)))
     for path in (out / "update.nc", write_page(out / "update.nc")):
         say(console, f"wrote {path}")
@@ -386,7 +386,6 @@ def read_and_tell(config, console):
     import warnings
 
     from pymc_features.update import read_problem
-    from pymc_features.update.kinds.expected import structure_sentence
 
     told = []
     with warnings.catch_warnings(record=True) as caught:
@@ -400,7 +399,7 @@ def read_and_tell(config, console):
             for sentence in told:
                 say(console, f"warning: {sentence}", "yellow")
     if problem.structure.has_modes:
-        say(console, structure_sentence(problem))
+        say(console, problem.sentence)
     for data in problem.data:
         tell(data.told(), console)
     return problem, told
@@ -419,8 +418,7 @@ def tell(shown, console):
 
 def check(options, console):
     """Look at the data of a configuration."""
-    from pymc_features.update.candidates import candidates_of
-    from pymc_features.update.population import members_of
+    from pymc_features.update.comparisons import candidates_of, members_of
 
     config = Path(options.config)
     problem, told = read_and_tell(config, console)

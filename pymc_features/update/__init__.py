@@ -11,8 +11,8 @@ from importlib import import_module
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pymc_features.update.document import read_config as read_config
-    from pymc_features.update.examples.write import write_example as write_example
+    from pymc_features.update.config.file import read_config as read_config
+    from pymc_features.update.examples import write_example as write_example
     from pymc_features.update.problem import Problem as Problem
     from pymc_features.update.problem import read_problem as read_problem
     from pymc_features.update.report.outputs import write_outputs as write_outputs
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 PLACES = {
     "Problem": "problem",
-    "read_config": "document",
+    "read_config": "config.file",
     "read_problem": "problem",
     "run_update": "run",
-    "write_example": "examples.write",
+    "write_example": "examples",
     "write_outputs": "report.outputs",
 }
 __all__ = list(PLACES)

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -14,10 +14,16 @@ from pymc_features.prediction import first_passage_probability, posterior_respon
 from pymc_features.records import Record
 from pymc_features.update.config.messages import named_key
 from pymc_features.update.config.sections import QUANTITIES, RecordFile, key
-from pymc_features.update.presentation.numbers import predicted_quantities
+from pymc_features.update.kinds.base import QUANTILES, table
+from pymc_features.update.report.numbers import interval_texts, predicted_quantities, scale_of
 
 DRAWS = 500
-QUANTILES = (0.05, 0.5, 0.95)
+PREDICTION = "prediction"
+COLUMNS = ("motion", "largest", "unit", "5 %", "50 %", "95 %", "limit", "probability")
+MEANING = (
+    "The largest value at any place, from the uncertainty of the parameters alone; a probability is that of "
+    "exceeding the limit anywhere."
+)
 LIMITS = "a table of quantities to a limit in SI units, or a list of limits, positive"
 
 
@@ -61,13 +67,7 @@ class Predict(RecordFile):
 
 
 def check_predictions(config, structure) -> None:
-    """Names differ, and structures have what is asked for.
-
-    Raises
-    ------
-    ConfigError
-        If not; the message names the key.
-    """
+    """Names differ, and structures have what is asked for."""
     titles = [asked.title for asked in config.predict]
     if len(set(titles)) < len(titles):
         raise ConfigError(f"`predict` must have a `name` of its own for each, got {', '.join(titles)}.")
@@ -89,7 +89,7 @@ def motion_of(asked: Predict, at: str, folder: Path, measured: Record | None) ->
     with named_key(at):
         record = measured
         if asked.path is not None:
-            given = {name: getattr(asked, name) for name in ("units", "dt", "column", "wrapped")}
+            given = asked.model_dump(include={"units", "dt", "column", "wrapped"})
             record = read_record(folder / asked.path, **given)
         factor = asked.scale
         if asked.peak is not None:
@@ -101,28 +101,12 @@ def motion_of(asked: Predict, at: str, folder: Path, measured: Record | None) ->
 def predictions(
     config, folder: Path, structure, posterior: xr.Dataset, measured: Record | None
 ) -> dict[str, xr.Dataset]:
-    """Predict every response that the file asks for.
+    """Predict every response that a file asks for under a posterior; `measured` is the measured motion.
 
-    Parameters
-    ----------
-    config : Config
-        Perhaps with [[predict]].
-    folder : Path
-        Files are relative to it.
-    structure : StructureOf
-        Values of the priors to a structure.
-    posterior : Dataset
-        Draws of the likelihood that comes first.
-    measured : Record or None
-        The motion that was measured.
-
-    Returns
-    -------
-    dict
-        Titles to a Dataset: the motion `ground_acceleration` (record_time); of each quantity q its bands q
-        (quantile, storey or sensor, time), the peaks of draws q_peak (sample, ...), and where it has limits
-        `q_probability` (q_limit, ...) that the peak exceeds them, `q_probability_any` (q_limit) that any
-        does, and their standard errors `..._se`.
+    Each title has a Dataset: the motion `ground_acceleration` (record_time); of each quantity q its bands q
+    (quantile, storey or sensor, time), the peaks of draws q_peak (sample, ...), and where it has limits
+    `q_probability` (q_limit, ...) that the peak exceeds them, `q_probability_any` (q_limit) that any does,
+    and their standard errors `..._se`.
     """
     found = {}
     for number, asked in enumerate(config.predict):
@@ -142,38 +126,36 @@ def predictions(
     return found
 
 
-class PredictedRow(NamedTuple):
-    """The largest response to one motion, or its probability of exceeding a limit.
+def predicted_rows(result: xr.DataTree) -> list[dict]:
+    """What predictions in a result say of peaks and limits: a row for each response and each of its limits.
 
-    Attributes
-    ----------
-    motion, quantity, unit : str
-        Which motion and response.
-    quantiles : list of float
-        5, 50 and 95 % of the peak at the place where it is largest.
-    limit, probability, error : float or None
-        A limit, the probability that it is exceeded anywhere, and its standard error; None without limits.
+    A row has `motion`, `quantity`, `unit`; `quantiles`, 5, 50 and 95 % of the peak at the place where it is
+    largest; `limit`, the `probability` that it is exceeded anywhere, and its standard `error`, None without
+    limits.
     """
-
-    motion: str
-    quantity: str
-    unit: str
-    quantiles: list[float]
-    limit: float | None = None
-    probability: float | None = None
-    error: float | None = None
-
-
-def predicted_rows(result: xr.DataTree) -> list[PredictedRow]:
-    """What all predictions of a result say of peaks and limits."""
     rows = []
     for title, data, name in predicted_quantities(result):
         peak = data[f"{name}_peak"]
         largest = peak.max([dim for dim in peak.dims if dim != "sample"])
         quantiles = np.quantile(largest.values, QUANTILES).tolist()
-        row = PredictedRow(title, name.replace("_", " "), data[name].attrs["units"], quantiles)
-        limits = data.get(f"{name}_limit", xr.DataArray([])).values
-        columns = (f"{name}_probability_any", f"{name}_probability_any_se")
-        told = zip(limits, *(data[column].values for column in columns if limits.size), strict=True)
-        rows += [row._replace(limit=one, probability=p, error=e) for one, p, e in told] or [row]
+        unit = data[name].attrs["units"]
+        row = {"motion": title, "quantity": name.replace("_", " "), "unit": unit, "quantiles": quantiles}
+        told = [(None, None, None)]
+        if f"{name}_limit" in data:
+            columns = ("limit", "probability_any", "probability_any_se")
+            told = np.transpose([data[f"{name}_{column}"].values for column in columns]).tolist()
+        rows += [row | dict(zip(("limit", "probability", "error"), one, strict=True)) for one in told]
     return rows
+
+
+def predicted_table(rows: list[dict]) -> dict:
+    """Peaks under other motions, and the probabilities that they exceed limits."""
+    cells = []
+    for row in rows:
+        scale = scale_of(max(map(abs, row["quantiles"])), row["unit"])
+        unit, texts = interval_texts(row["quantiles"], row["unit"])
+        told = ("", "")
+        if row["limit"] is not None:
+            told = f"{row['limit'] / scale.factor:.4g}", f"{row['probability']:.3f}"
+        cells.append((row["motion"], row["quantity"], unit, *texts, *told))
+    return table(PREDICTION, PREDICTION, "Largest responses to other motions", COLUMNS, cells, MEANING)

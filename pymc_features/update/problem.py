@@ -5,71 +5,45 @@ import json
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pymc_features.exceptions import ConfigError, PriorWarning
-from pymc_features.update.config.entries import Matrix
+from pymc_features.structures import Structure
+from pymc_features.update.config.file import Config, read_config
 from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.priors import Prior
-from pymc_features.update.document import Config, read_config
+from pymc_features.update.config.structures import StructureOf, modes_of
 from pymc_features.update.kinds import KINDS, KINDS_OF_DATA
-from pymc_features.update.kinds.base import KindOfData, Setting
+from pymc_features.update.kinds.base import KindOfData, Setting, Verdict
 from pymc_features.update.kinds.external import ProgramOf
 from pymc_features.update.kinds.modal import Modal
-from pymc_features.update.kinds.structure import StructureOf, modes_of
 from pymc_features.update.plausibility.findings import of_priors
-from pymc_features.update.plausibility.prior_modes import PriorModes, prior_modes
+from pymc_features.update.plausibility.prior_modes import PriorModes, moved_mass, prior_modes
 from pymc_features.update.predictions import check_predictions
-from pymc_features.update.presentation.shown import Verdict
 
-#: Keys that change no draw, or, as the tolerance, those of ABC alone.
+FIRST = 5  # natural frequencies in a sentence
+#: Keys that change no draw, or, as the tolerance, those of ABC alone; an event is recognised by its data.
 WITHOUT_EFFECT = (
-    "report",
-    "modal.nodes",
-    "likelihood.kinds",
-    "likelihood.epsilon",
-    "sampler.cores",
-    "predict",
-    "sensitivity",
-    "compare",
-    "hierarchical",
-    "external.cache",
-    "events.folder",  # each event is recognised by its data
-    "events.pattern",
-    "events.files",
+    *("report", "modal.nodes", "likelihood.kinds", "likelihood.epsilon", "sampler.cores", "predict"),
+    *("sensitivity", "compare", "hierarchical", "external.cache"),
+    *("events.folder", "events.pattern", "events.files"),
 )
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is updated with what.
+    """What is updated with what."""
 
-    Attributes
-    ----------
-    path : Path
-        The configuration file.
-    text : str
-        What it says.
-    config : Config
-        The same, validated.
-    raw : dict
-        The same, as it was parsed.
-    structure : StructureOf or ProgramOf
-        Values of the priors to a structure.
-    priors : dict
-        Names to `Prior`, in the order of the file.
-    data : tuple of KindOfData
-        What was measured; the first decides what is sampled.
-    """
-
-    path: Path
-    text: str
-    config: Config
-    raw: dict
-    structure: StructureOf | ProgramOf
-    priors: dict[str, Prior]
-    data: tuple[KindOfData, ...]
+    path: Path  # the configuration file
+    text: str  # what it says
+    config: Config  # the same, validated
+    raw: dict  # the same, as it was parsed
+    structure: StructureOf | ProgramOf  # values of the priors to a structure
+    expected: Structure | Any  # that at the medians of the priors
+    priors: dict[str, Prior]  # names to `Prior`, in the order of the file
+    data: tuple[KindOfData, ...]  # what was measured; the first decides what is sampled
 
     @property
     def first(self) -> KindOfData:
@@ -127,17 +101,26 @@ class Problem:
         kept = {k: v for k, v in flattened(self.raw) if not k.startswith(WITHOUT_EFFECT)}
         for data in self.data:
             kept |= data.prints()
-        for file in sorted(files_of(self.config.structure) if self.config.structure else ()):
-            digest = hashlib.sha256((self.path.parent / file).read_bytes())
-            kept[f"{file}_sha256"] = digest.hexdigest()
+        for file in self.structure.files:
+            kept[f"{file}_sha256"] = hashlib.sha256((self.path.parent / file).read_bytes()).hexdigest()
         return json.loads(json.dumps(kept, default=str))
+
+    @property
+    def sentence(self) -> str:
+        """Mass and first frequencies of the structure at the medians of the priors."""
+        frequencies = modes_of(self.expected, FIRST).natural_frequencies[:FIRST]
+        given = self.config.report.natural_frequencies
+        beside = "" if given is None else f" (natural_frequencies: {', '.join(f'{f:.4g}' for f in given)} Hz)"
+        return (
+            f"structure: {self.expected.n_dof} degrees of freedom, {moved_mass(self.expected):.4g} kg that "
+            "the base moves; natural frequencies at the medians of the priors: "
+            f"{', '.join(f'{f:.4g}' for f in frequencies)} Hz{beside}"
+        )
 
 
 def model_of(config: Config, folder: Path) -> StructureOf | ProgramOf:
     """Values of the priors to a structure, or to what a program takes."""
-    if config.external is not None:
-        return ProgramOf(config.external)
-    return StructureOf(config.structure, folder)
+    return StructureOf(config.structure, folder) if config.external is None else ProgramOf(config.external)
 
 
 def flattened(table, prefix=""):
@@ -147,13 +130,6 @@ def flattened(table, prefix=""):
             yield from flattened(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
-
-
-def files_of(section) -> set[str]:
-    """Files with matrices that a section names."""
-    values = [getattr(section, name) for name in type(section).model_fields]
-    found = [v for value in values for v in (value if isinstance(value, list) else [value])]
-    return {value.file for value in found if isinstance(value, Matrix)}
 
 
 def read_problem(path) -> Problem:
@@ -212,22 +188,17 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
             f"{config.structure.type}. Use relative_displacement."
         )
     check_predictions(config, structure)
-    return Problem(path, text, config, raw, structure, priors, data)
+    return Problem(path, text, config, raw, structure, expected, priors, data)
 
 
-def expected_modes(structure, priors, expected) -> PriorModes:
+def expected_modes(structure: StructureOf, priors, expected) -> PriorModes:
     """Modes of draws of the priors; `expected` is the structure at the medians."""
     with np.errstate(all="ignore"):  # the inverse of a tiny mass is no number
         found = modes_of(expected, 1).natural_frequencies
-    if not (found.size and np.isfinite(found[0])):
-        raise ValueError(
-            "masses and stiffnesses must have a natural frequency at the medians of the priors, got none. "
-            "Check their units."
-        )
-    with np.errstate(all="ignore"):
-        return prior_modes(
-            structure,
-            {name: priors[name].draw for name in structure.names},
-            expected,
-            lambda one: modes_of(one, structure.n_modes),
-        )
+        if not (found.size and np.isfinite(found[0])):
+            raise ValueError(
+                "masses and stiffnesses must have a natural frequency at the medians of the priors, got "
+                "none. Check their units."
+            )
+        draws = {name: priors[name].draw for name in structure.names}
+        return prior_modes(structure, draws, expected, structure.modes)

@@ -9,12 +9,13 @@ import xarray as xr
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.records import Record
-from pymc_features.update.candidates import candidates_of, compared
-from pymc_features.update.document import read_config
-from pymc_features.update.parts import RunSettings, run_parts
-from pymc_features.update.population import members_of, populations
+from pymc_features.update.comparisons import candidates_of, compared, members_of, populations
+from pymc_features.update.config.file import read_config
+from pymc_features.update.kinds.model import kinds_of
+from pymc_features.update.kinds.shapes import geometry, mode_shapes
 from pymc_features.update.predictions import check_predictions, predictions
 from pymc_features.update.problem import Problem, model_of
+from pymc_features.update.sampling import RunSettings, run_parts
 
 
 def run_update(
@@ -48,17 +49,19 @@ def run_update(
     -------
     DataTree
         For each likelihood `/<kind>/`, CAL first: posterior, prior, sample_stats, observed_data, bands,
-        modal, and of CAL calibration, what `effective_samples` returns. And `/data`: motion of the base,
+        modal, mode_shapes, histories (responses of draws by their principal components), and of CAL
+        calibration, what `effective_samples` returns. And `/data`: motion of the base,
         measured responses and their gain; of a cyclic test force and displacement, and no modal. Of
-        identified modes `/identified`, and in each likelihood `matched`, which mode each is matched with, and
-        `shapes` of draws; without responses the only likelihood is MODAL, and there are neither data nor
+        identified modes `/identified`, and in each likelihood `matched`, which mode each is matched with;
+        without responses the only likelihood is MODAL, and there are neither data nor
         bands. Of ambient vibration the likelihood is AMBIENT, with `spectra`, see `fitted_spectra`, and with
         the modes that the channels have. Of several events `sequence`, and all else is the state after the
-        last of them. `/predict/<name>` has what [[predict]] asks for, see `predictions`, and
+        last of them. Of a structure with modes `/geometry`, where its degrees of freedom are.
+        `/predict/<name>` has what [[predict]] asks for, see `predictions`, and
         `/compare/<likelihood>` the evidence of the candidates of [compare], `/hierarchical/<likelihood>` the
         population of [hierarchical]. The attribute `failed` says in
         JSON which calibrated posterior could not be had, and why; if it was the only one asked for, that
-        which it is made from is in its place.
+        which it is made from is in its place. `units` are those of the parameters.
 
     Raises
     ------
@@ -69,40 +72,30 @@ def run_update(
     settings = RunSettings(out, cores, executor, progress, progressbar)
     parts, failed = run_parts(problem, settings)
     reported = [kind for kind in problem.reported if kind in parts] or list(parts)
-    shown = {kind: parts[kind].copy() for kind in reported}
     title = problem.config.report.title.replace("/", "-")  # which would be a path in the tree
-    result = xr.DataTree.from_dict(shown, name=title)
+    result = xr.DataTree.from_dict({kind: parts[kind].copy() for kind in reported}, name=title)
+    posteriors = {kind: parts[kind]["posterior"].to_dataset() for kind in reported}
     groups = compared(problem, candidates, parts, settings)
     groups |= populations(problem, members, parts, settings)
     for data in problem.data:
-        groups |= data.shared(problem, shown)
-    posterior = shown[reported[0]]["posterior"].to_dataset()
+        groups |= data.shared(problem)
+    if problem.structure.has_modes:  # not kept in parts: other nodes are no other draws
+        groups["geometry"] = geometry(problem)
+        groups |= {f"{kind}/mode_shapes": mode_shapes(problem, one) for kind, one in posteriors.items()}
     motion = None if problem.measured is None else problem.measured.record
-    predicted = predictions(problem.config, problem.path.parent, problem.structure, posterior, motion)
-    for name, group in predicted.items():
-        groups[f"predict/{name}"] = group
+    settings = problem.config, problem.path.parent, problem.structure, posteriors[reported[0]], motion
+    groups |= {f"predict/{name}": group for name, group in predictions(*settings).items()}
     for path, group in groups.items():
         result[path] = xr.DataTree(group)
     result.attrs["failed"] = json.dumps(failed)
+    result.attrs["units"] = json.dumps({name: problem.unit(name) for name in problem.priors})
     return result
 
 
 def predict_stored(config_path: Path, file: Path) -> xr.DataTree:
     """A stored result with the predictions that its configuration asks for now, in place of those before.
 
-    Nothing is sampled, and no measured channel is read.
-
-    Parameters
-    ----------
-    config_path : Path
-        The configuration file.
-    file : Path
-        `update.nc` of a finished update.
-
-    Raises
-    ------
-    ConfigError
-        If nothing is asked for, there is no result, or it is one of another structure.
+    Nothing is sampled, and no measured channel is read. `file` is the `update.nc` of a finished update.
     """
     config, _ = read_config(config_path)
     structure = model_of(config, config_path.parent)
@@ -120,17 +113,15 @@ def predict_stored(config_path: Path, file: Path) -> xr.DataTree:
             f"`--out` must hold the result of an update with its report, {file} has none. Run `pymc-features "
             "update` again: finished likelihoods are kept."
         )
-    first = next(node for node in result.children.values() if "posterior" in node.children)
-    posterior, measured = first["posterior"].to_dataset(), None
+    posterior, measured = result[kinds_of(result)[0]]["posterior"].to_dataset(), None
     if missing := sorted(set(structure.names) - set(posterior.data_vars)):
         raise ConfigError(
             f"`structure` must be that of the result, {file} has no draws of {', '.join(missing)}. Run "
             "`pymc-features update` again."
         )
     if "ground_acceleration" in result.children.get("data", {}):
-        motion = result["data/ground_acceleration"]
+        motion, about = result["data/ground_acceleration"], result["data"].attrs
         dt = float(motion["record_time"][1] - motion["record_time"][0])
-        about = result["data"].attrs
         measured = Record(motion.values, dt, about["record"], interpolation=about["interpolation"])
     result = result.drop_nodes("predict", errors="ignore")
     for name, group in predictions(config, config_path.parent, structure, posterior, measured).items():

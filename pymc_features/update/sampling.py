@@ -1,7 +1,15 @@
-"""Sampling the posterior of one likelihood."""
+"""Sampling every likelihood of a problem; what is finished is kept."""
 
+import contextlib
+import json
+import logging
+import time
+import warnings
 from collections.abc import Callable
-from typing import NamedTuple
+from concurrent.futures import Executor
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pymc as pm
@@ -10,40 +18,170 @@ from pymc.sampling.parallel import ParallelSamplingError
 
 from pymc_features import inference, smc
 from pymc_features.calibration import calibrate
-from pymc_features.exceptions import ConfigError, ToleranceNotReachedError, UncalibratedError
-from pymc_features.smc import Workers, sample_smc
-from pymc_features.update.chains import without_lost_chains
+from pymc_features.exceptions import (
+    ChainsDisagreeWarning,
+    ConfigError,
+    ToleranceNotReachedError,
+    UncalibratedError,
+)
+from pymc_features.inference.parameters import to_unconstrained
+from pymc_features.smc import Workers, open_workers, population_logp, sample_smc
+from pymc_features.storage import SUMMED, PartStore, held, moved_aside, settings_in
+from pymc_features.update.config.messages import with_keys
+from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds import KINDS
+from pymc_features.update.kinds.model import declare, draws_of_priors, frequencies, names_for
+from pymc_features.update.problem import Problem
+
+LOG = logging.getLogger("pymc_features")
+PRIOR_DRAWS = 4000
+GROUPS = ("posterior", "sample_stats", "particles", "modes", "calibration", "sequence", "emulation")
+FAR = 20.0  # below the best chain, in logarithms: such a mode has a weight of 2e-9
+N_DRAWS = 200  # of each chain, to judge it by
+MANY = 0.5  # share of lost chains above which the best may be lost, too
+
+
+class RunSettings(NamedTuple):
+    """How an update runs; nothing of it changes a draw. See `run_update`."""
+
+    out: Any = None
+    cores: int | None = None
+    executor: int | str | Executor | None = None
+    progress: Callable[[str, int, int], None] | None = None
+    progressbar: bool = True
 
 
 class Running(NamedTuple):
-    """How a likelihood is run; nothing of it changes a draw.
+    """How a likelihood is run: processes, where populations are evaluated, PyMC's bar, folder, messages."""
 
-    Attributes
-    ----------
-    cores : int or None
-        Processes.
-    workers : Workers or None
-        Where populations are evaluated.
-    progressbar : bool
-        Whether to show PyMC's own.
-    out : path or None
-        Folder of the update.
-    tell : callable (str)
-        Called with what is in work.
+    cores: int | None = None
+    workers: Workers | None = None
+    progressbar: bool = False
+    out: Any = None
+    tell: Callable[[str], None] = str
+
+
+def run_parts(problem: Problem, settings: RunSettings) -> tuple[dict[str, xr.DataTree], dict[str, str]]:
+    """Sample every likelihood that is not finished in the folder.
+
+    Returned are likelihoods to what was sampled and predicted, and calibrated ones to the reason why they
+    could not be had.
     """
+    if settings.executor is not None and problem.config.sampler.method == "laplace":
+        raise ConfigError("`sampler.method` must be one with populations for an executor, got laplace.")
+    kinds, parts, failed = problem.kinds, {}, {}
+    tell = settings.progress or (lambda part, done, total: None)
+    kept = {} if settings.out is None else kept_parts(problem, Path(settings.out))
+    alone = contextlib.nullcontext() if settings.out is None else held(settings.out, "update")
+    with alone, open_workers(settings.executor) as workers:
+        store = PartStore(settings.out, problem.settings(), "update")
+        for kind, part in kept.items():
+            store.save(kind, part)
+        for done, kind in enumerate(kinds):
+            tell(kind, done, len(kinds))
+            tolerance = problem.first.tolerance(parts) if kind == "ABC" else None
+            own = {"epsilon": tolerance, "events": problem.first.identity or None}
+            part = store.load(kind)
+            if part is None or any(part.attrs.get(name) != value for name, value in own.items()):
+                base = parts.get(KINDS[kind].calibrates)
+                of_part = partial(tell, done=done, total=len(kinds))
+                running = Running(settings.cores, workers, settings.progressbar, settings.out, of_part)
+                try:
+                    part = run_part(problem, kind, own, base, running)
+                except UncalibratedError as error:
+                    failed[kind] = str(error)
+                    continue
+                store.save(kind, part)
+            parts[kind] = part
+    tell("report", len(kinds), len(kinds))
+    return parts, failed
 
-    cores: int | None
-    workers: Workers | None
-    progressbar: bool
-    out: object
-    tell: Callable[[str], None]
+
+def kept_parts(problem: Problem, out: Path) -> dict[str, xr.DataTree]:
+    """Finished likelihoods that changed settings do not touch, where a folder has others; it is renamed."""
+    with held(out, "update"):
+        known, wanted = settings_in(out, "update"), problem.settings()
+        if known is None or (known := {k: v for k, v in known.items() if k != SUMMED}) == wanted:
+            return {}
+        store = PartStore(out, known, "update")
+        same = [k for k in problem.kinds if settings_of(problem, k, known) == settings_of(problem, k, wanted)]
+        parts = {kind: part for kind in same if (part := store.load(kind)) is not None}
+    changed = sorted(key for key in known | wanted if known.get(key) != wanted.get(key))
+    LOG.info(
+        "`%s` changed: the result of before is kept in %s%s.",
+        "`, `".join(changed[:3]) + ("`, ..." if len(changed) > 3 else ""),
+        moved_aside(out),
+        f", and {', '.join(parts)} stays as it is" if parts else "",
+    )
+    return parts
+
+
+def settings_of(problem: Problem, kind: str, flat: dict) -> dict:
+    """Choose the settings that one likelihood depends on."""
+    sources = list(filter(None, (kind, KINDS[kind].calibrates)))
+    names = {name for source in sources for name in names_for(problem, source)}
+    taken = {name for source in sources for name in KINDS[source].takes}
+
+    def is_of(key):
+        section, name = [*key.split("."), ""][:2]
+        return {"priors": name in names, "likelihood": name not in ERRORS or name in taken}.get(section, True)
+
+    return {key: value for key, value in flat.items() if is_of(key)}
+
+
+def run_part(problem, kind, own, base, running: Running) -> xr.DataTree:
+    """Sample one posterior and predict with it; warnings on the way are part of the result.
+
+    `own` is what the part is recognised by besides, such as the tolerance of ABC; `base` is the part that
+    is calibrated, if the likelihood is one that is made from another.
+    """
+    start = time.perf_counter()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        model = declare(problem, kind, own["epsilon"])
+        if base is None:
+            sampled = problem.first.sample(problem, kind, model, seed_of(problem, kind), running)
+            idata, model = sampled or (sample(problem, kind, model, running), model)
+        else:
+            idata = calibrated(problem, kind, base, model, running)
+        part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
+        part["prior"] = draws_of_priors(problem, names_for(problem, kind), PRIOR_DRAWS)
+        for data in problem.data:
+            part |= data.predict(problem, kind, model, idata)
+        if problem.structure.has_modes:
+            part["modal"] = frequencies(problem, part["posterior"])
+    ours = [w for w in caught if w.category.__module__.startswith("pymc_features")]  # others: of machinery
+    messages = list(dict.fromkeys(with_keys(str(warning.message)) for warning in ours))
+    tree = xr.DataTree.from_dict(part)
+    tree.attrs = {
+        "kind": kind,
+        "method": method_of(problem, kind),
+        "seconds": time.perf_counter() - start,
+        "warnings": json.dumps(messages),
+    }
+    if "calibration" in part:
+        tree.attrs["calibration"] = idata.attrs["calibration"]
+    tree.attrs |= {name: value for name, value in own.items() if value is not None}
+    return tree
 
 
 def seed_of(problem, kind) -> int:
     """Seed of one likelihood."""
     key = [problem.config.sampler.random_seed, list(KINDS).index(kind)]
     return int(np.random.SeedSequence(key).generate_state(1)[0])
+
+
+def method_of(problem, kind) -> str:
+    """How a likelihood is sampled."""
+    sampler = problem.config.sampler
+    if KINDS[kind].calibrates:
+        return "calibrate"
+    if KINDS[kind].is_likelihood_free:
+        return "SubsetSimulation"
+    if problem.config.external is not None and problem.config.external.emulate is not None:
+        return "emulate"
+    return {"auto": "sample", "smc": sampler.kernel, "nuts": "NUTS", "laplace": "Laplace"}[sampler.method]
 
 
 def calibrated(problem, kind, base, model, running: Running) -> xr.DataTree:
@@ -64,46 +202,44 @@ def calibrated(problem, kind, base, model, running: Running) -> xr.DataTree:
         raise UncalibratedError(
             f"`likelihood.kinds` must have {kind} only where residuals can tell a width: {error}"
         ) from error
-    found = idata["calibration"].to_dataset()
-    sensors = problem.first.channels["sensor"].values
+    found, sensors = idata["calibration"].to_dataset(), problem.first.channels["sensor"].values
     idata["calibration"] = xr.DataTree(found.assign_coords(sensor=sensors))
     return idata
 
 
 def sample(problem, kind, model, running: Running) -> xr.DataTree:
     """The posterior by the sampler of the configuration, without chains that were lost."""
+    asked, sizes = problem.config.sampler, None
     idata = by_sampler(problem, kind, model, running)
-    if is_cut_short(problem, kind, idata["posterior"].sizes):
-        raise KeyboardInterrupt
+    sizes, chains = idata["posterior"].sizes, 1 if method_of(problem, kind) == "Laplace" else asked.chains
+    if sizes["draw"] < asked.draws or sizes["chain"] < chains:
+        raise KeyboardInterrupt  # PyMC's NUTS returns what it has when it is stopped
     return idata if KINDS[kind].is_likelihood_free else without_lost_chains(idata, model)
 
 
 def by_sampler(problem, kind, model, running: Running) -> xr.DataTree:
     """The posterior by the sampler of the configuration, as it comes."""
-    asked = problem.config.sampler
-    method = method_of(problem, kind)
+    asked, method = problem.config.sampler, method_of(problem, kind)
+    cores = running.cores or asked.cores
     common = {"model": model, "random_seed": seed_of(problem, kind)}
-    cores, progressbar = running.cores or asked.cores, running.progressbar
-    settings = {"cores": cores, "executor": running.workers, "progressbar": progressbar}
+    settings = {"cores": cores, "executor": running.workers, "progressbar": running.progressbar}
+    settings["chains"] = asked.chains
     try:
         if method == "Laplace":
             return inference.laplace(asked.draws, **common)
         if method == "NUTS":
-            first = {**settings, "draws": max(500, asked.draws // 2), "chains": asked.chains}
-            workers = {} if cores is None else {"cores": cores}
             return inference.sample_nuts(
                 asked.draws,
                 tune=asked.tune,
                 chains=asked.chains,
-                sample_settings=first,
-                progressbar=progressbar,
-                **workers,
+                sample_settings={**settings, "draws": max(500, asked.draws // 2)},
+                progressbar=running.progressbar,
+                **({} if cores is None else {"cores": cores}),
                 **common,
             )
-        settings |= {"chains": asked.chains}
         if method == "sample":
             return inference.sample(asked.draws, **settings, **common)
-        settings |= {"compute_convergence_checks": False}
+        settings["compute_convergence_checks"] = False
         return sample_smc(asked.draws, getattr(smc, method), **settings, **common)
     except ToleranceNotReachedError as error:
         raise ConfigError(
@@ -115,20 +251,40 @@ def by_sampler(problem, kind, model, running: Running) -> xr.DataTree:
         raise ConfigError(f"`priors` must lead to a posterior that {method} can sample: {reason}") from error
 
 
-def is_cut_short(problem, kind, sizes) -> bool:
-    """Whether draws or chains are missing: PyMC's NUTS returns what it has when it is stopped."""
-    asked = problem.config.sampler
-    chains = 1 if method_of(problem, kind) == "Laplace" else asked.chains
-    return sizes["draw"] < asked.draws or sizes["chain"] < chains
+def without_lost_chains(idata: xr.DataTree, model) -> xr.DataTree:
+    """A result without the chains that are far below another, and a warning that names them.
 
-
-def method_of(problem, kind) -> str:
-    """How a likelihood is sampled."""
-    sampler = problem.config.sampler
-    if KINDS[kind].calibrates:
-        return "calibrate"
-    if KINDS[kind].is_likelihood_free:
-        return "SubsetSimulation"
-    if problem.config.external is not None and problem.config.external.emulate is not None:
-        return "emulate"
-    return {"auto": "sample", "smc": sampler.kernel, "nuts": "NUTS", "laplace": "Laplace"}[sampler.method]
+    A chain is far below another if both its mean log posterior and the log mass of its mode are lower by more
+    than 20. The log mass is the mean log posterior plus the entropy of independent Gaussians with the
+    variances of the draws, on the sampled scale; so a mode is kept that is low but wide.
+    """
+    posterior = idata["posterior"].to_dataset()
+    names = posterior["chain"].values
+    if len(names) < 2:
+        return idata
+    every = max(1, posterior.sizes["draw"] // N_DRAWS)
+    points = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
+    logp = population_logp(model, model.initial_point(), {})
+    with np.errstate(divide="ignore", invalid="ignore"):
+        height = np.array([np.mean(prior + likelihood) for prior, likelihood, _ in map(logp, points)])
+        mass = height + 0.5 * np.log(points.var(axis=1)).sum(axis=1)
+        below = np.nanmax(np.fmin(height - height[:, None], mass - mass[:, None]), axis=1)
+    lost = below > FAR
+    if not lost.any():
+        return idata
+    told = ", ".join(f"chain {names[i]} by {below[i]:.0f}" for i in np.flatnonzero(lost))
+    few = f" Rely on none, for {lost.sum()} of {lost.size} went astray." if lost.mean() > MANY else ""
+    warnings.warn(
+        "chains are left out that ended in modes without weight, their log posterior being below that of "
+        f"chain {names[height.argmax()]}: {told}.{few} Increase `sampler.draws`, or narrow the priors, until "
+        "all chains find the best mode.",
+        ChainsDisagreeWarning,
+        stacklevel=2,
+    )
+    kept = idata.copy()
+    for group in {"posterior", "sample_stats"} & set(idata.children):
+        dataset = idata[group].to_dataset().sel(chain=names[~lost])
+        if "ess" in dataset.attrs:  # a sum over chains
+            dataset.attrs = dataset.attrs | {"ess": float(dataset["ess"].sum())}
+        kept[group] = xr.DataTree(dataset)
+    return kept

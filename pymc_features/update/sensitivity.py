@@ -4,37 +4,27 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features.exceptions import ConfigError
 from pymc_features.inference.fisher import product_function
 from pymc_features.inference.parameters import initial_values
 from pymc_features.update.config.messages import named_key
 from pymc_features.update.kinds import KINDS
+from pymc_features.update.kinds.base import QUANTILES
 from pymc_features.update.kinds.model import declare
 
 BLIND = 0.8  # share of a prior's standard deviation that remains: sensors hardly see the parameter
 SPREAD = 2000  # draws from which a prior's standard deviation is known to 2 %
-QUANTILES = (0.05, 0.5, 0.95)
 
 
 class Remaining(NamedTuple):
-    """What data like these leave of a parameter's prior standard deviation, over draws of the prior.
+    """What data like these leave of a parameter's prior standard deviation, over draws of the prior."""
 
-    Attributes
-    ----------
-    name : str
-        Of the parameter.
-    prior : float
-        Standard deviation of its prior.
-    low, middle, high : float
-        5, 50 and 95 % of the share that remains [-]: 1 where the data tell nothing.
-    together : str
-        The parameter that is hardest to tell apart from it, where that leaves most of what remains.
-    """
-
-    name: str
-    prior: float
-    low: float
+    name: str  # of the parameter
+    prior: float  # standard deviation of its prior
+    low: float  # 5, 50 and 95 % of the share that remains [-]: 1 where the data tell nothing
     middle: float
     high: float
+    # the parameter that is hardest to tell apart from it, where that leaves most of what remains
     together: str
 
 
@@ -43,11 +33,6 @@ def remaining(problem) -> list[Remaining]:
 
     At each draw of the priors the posterior covariance is about (I + P)^-1, with I the Fisher information of
     the likelihoods, see `fisher_information`, and P the inverse variances of the priors.
-
-    Raises
-    ------
-    ConfigError
-        If a likelihood has no known information; the message names the section.
     """
     kind = problem.reported[0]
     kind = KINDS[kind].calibrates or kind
@@ -55,38 +40,27 @@ def remaining(problem) -> list[Remaining]:
         model = declare(problem, kind)
         function = product_function(model)
     names = [rv.name for rv in model.free_RVs]
-    draws = problem.config.sensitivity.draws
     columns = {name: problem.priors[name].draw(SPREAD, k) for k, name in enumerate(names)}
-    spread = np.array([columns[name].std() for name in names])
-    shares, alone = [], []
-    for i in range(draws):
+    spread, scaled = np.array([columns[name].std() for name in names]), []
+    for i in range(problem.config.sensitivity.draws):
         values = initial_values(model, {name: column[i] for name, column in columns.items()})
         information = np.array([function(*values.values(), row) for row in np.eye(len(names))])
-        scaled = 0.5 * (information + information.T) * np.outer(spread, spread) + np.eye(len(names))
-        if not np.isfinite(scaled).all():
-            continue
-        shares.append(np.sqrt(np.diag(np.linalg.inv(scaled))))
-        alone.append(scaled)
-    with named_key("sensitivity"):
-        if not shares:
-            raise ValueError("priors must have draws with a finite response, got none. Narrow [priors].")
-    low, middle, high = np.quantile(shares, QUANTILES, axis=0)
-    covariance = np.linalg.inv(np.mean(alone, axis=0))
+        scaled.append(0.5 * (information + information.T) * np.outer(spread, spread) + np.eye(len(names)))
+    scaled = np.array([one for one in scaled if np.isfinite(one).all()])
+    if not len(scaled):
+        raise ConfigError(
+            "[sensitivity]: priors must have draws with a finite response, got none. Narrow them."
+        )
+    shares = np.sqrt(np.diagonal(np.linalg.inv(scaled), axis1=1, axis2=2))
+    covariance = np.linalg.inv(scaled.mean(axis=0))
+    scale = np.sqrt(np.diag(covariance))
+    correlation = np.abs(covariance / np.outer(scale, scale)) - np.eye(len(names))
     found = []
     for i in (names.index(name) for name in problem.structure.names):
-        found.append(
-            Remaining(names[i], spread[i], low[i], middle[i], high[i], partner(covariance, names, i))
-        )
+        other = int(correlation[i].argmax())
+        together = names[other] if correlation[i, other] > BLIND else ""
+        found.append(Remaining(names[i], spread[i], *np.quantile(shares[:, i], QUANTILES), together))
     return found
-
-
-def partner(covariance, names, i: int) -> str:
-    """The name of the parameter with a correlation above 0.8; empty without one."""
-    scale = np.sqrt(np.diag(covariance))
-    correlation = np.abs(covariance[i] / (scale[i] * scale))
-    correlation[i] = 0.0
-    j = int(correlation.argmax())
-    return names[j] if correlation[j] > BLIND else ""
 
 
 def sensitivity_sentences(found: list[Remaining]) -> list[str]:

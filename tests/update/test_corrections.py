@@ -83,7 +83,7 @@ def clean(tmp_path_factory, data_dir):
     messages, more, measured = told_by(written(folder, nothing, lines))
     assert not messages
     assert not more
-    assert measured.checked.sentence.startswith("checked against each other between 0.5")
+    assert measured.checked.startswith("checked against each other between 0.5")
     return measured
 
 
@@ -131,18 +131,18 @@ def test_a_record_too_short_for_the_check_is_said_to_be(tmp_path, data_dir):
     )
     path.write_text(text)
     messages, _, measured = told_by(path)
-    assert measured.checked.sentence == "not checked against each other, as the file says"
+    assert measured.checked == "not checked against each other, as the file says"
     path.write_text(text.replace("check_band = false", ""))
     messages, lines, measured = told_by(path)
     assert messages[0].startswith("floor2 may be inverted: the modes that the priors expect explain")
     assert lines == ["scale = { floor2 = -1.0 }"]
-    assert "not checked against each other: `channels` must last at least" in measured.checked.sentence
+    assert "not checked against each other: `channels` must last at least" in measured.checked
     assert measured.channels.sizes["time"] == 400
 
 
 def test_command_looks_at_the_data_and_samples_nothing(tmp_path, data_dir, capsys, monkeypatch):
     path = written(tmp_path, inverted)
-    monkeypatch.setattr("pymc_features.update.parts.run_part", None)
+    monkeypatch.setattr("pymc_features.update.sampling.run_part", None)
     assert cli.main(["check", str(path)]) == 0
     said = capsys.readouterr().err
     assert "put into [data]: scale = { floor2 = -1.0 }; delay = { floor1 = 0.0005" in said

@@ -11,7 +11,7 @@ import xarray as xr
 from pymc_features import cli
 from pymc_features.exceptions import ChainsDisagreeWarning
 from pymc_features.update import write_example
-from pymc_features.update.chains import without_lost_chains
+from pymc_features.update.sampling import without_lost_chains
 from support.update_files import replaced
 
 PLACES = np.array([20.0, 20.0, -20.0, 20.0])  # of the chains

@@ -17,12 +17,12 @@ from pymc_features import cli, datasets, simulate, structures, update
 from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 from pymc_features.smc.workers import workers
 from pymc_features.smc.workers.workers import Spread
-from pymc_features.update import parts, read_problem, run_update, sampling, write_example
-from pymc_features.update.config import structure_sections
+from pymc_features.update import read_problem, run_update, sampling, write_example
+from pymc_features.update.config import structures as structure_sections
+from pymc_features.update.config.structures import StructureOf
 from pymc_features.update.kinds.model import declare, thinned
 from pymc_features.update.kinds.responses import measured_gain
-from pymc_features.update.kinds.structure import StructureOf
-from pymc_features.update.report import findings
+from pymc_features.update.report import document
 from support.update_files import SIGMA, replaced, variant
 
 
@@ -108,7 +108,7 @@ def test_another_report_samples_nothing_and_makes_rows_once(example, finished, c
     text, table, calls = example.read_text(), (finished / "table.csv").read_text(), []
 
     def counted(name):
-        function = getattr(findings, name)
+        function = getattr(document, name)
 
         def count(*arguments):
             calls.append(name)
@@ -116,14 +116,14 @@ def test_another_report_samples_nothing_and_makes_rows_once(example, finished, c
 
         return count
 
-    for name in ("rows", "doubts_of", "supported"):
-        monkeypatch.setattr(findings, name, counted(name))
+    for name in ("rows_of_result", "findings_of"):
+        monkeypatch.setattr(document, name, counted(name))
     try:
         example.write_text(replaced(text, [("Simulated, three storeys", "Another <title>, 1/2")]))
         assert cli.main(["update", str(example), "--out", str(finished)]) == 0
     finally:
         example.write_text(text)
-    assert sorted(calls) == ["doubts_of", "rows", "supported"]
+    assert sorted(calls) == ["findings_of", "rows_of_result"]
     html = (finished / "report.html").read_text()
     assert "<h1>Another &lt;title&gt;, 1/2</h1>" in html
     assert (finished / "table.csv").read_text() == table
@@ -139,7 +139,7 @@ def test_force_starts_anew(example, finished, tmp_path, capsys, monkeypatch):
 
     folder = tmp_path / "copy"
     shutil.copytree(finished, folder)
-    monkeypatch.setattr(parts, "run_part", stopped)
+    monkeypatch.setattr(sampling, "run_part", stopped)
     assert cli.main(["update", str(example), "--out", str(folder), "--force"]) == 130
     assert "deleted 2 finished parts" in capsys.readouterr().err
     assert not list((folder / "parts").iterdir())

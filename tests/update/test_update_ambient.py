@@ -17,7 +17,6 @@ from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.update import read_problem, run_update
 from pymc_features.update.kinds.ambient import fitted_spectra
 from pymc_features.update.kinds.model import declare
-from pymc_features.update.report.findings import findings
 from support.linear import as_linear
 
 STEP, N = 0.02, 20_000  # s, samples
@@ -122,13 +121,13 @@ def test_the_structure_is_found(updated):
 @pytest.mark.slow
 def test_what_is_said_of_it(updated, capsys):
     problem, result, out = updated
-    found = findings(problem, result)
-    assert found.verdict.explains
+    found = problem.verdict(result, "AMBIENT")
+    assert found.explains
     assert re.match(
         r"The power of the channels is what the model expects in all \d+ parts of the bands",
-        found.verdict.sentences[0],
+        found.sentences[0],
     )
-    assert "all 2 identified modes" in found.verdict.sentences[1]
+    assert "all 2 identified modes" in found.sentences[1]
     frequencies = building(TRUE["k1"], TRUE["k2"], 0.02).modes().natural_frequencies
     rows = found.modes["AMBIENT"]
     np.testing.assert_allclose([row.measured for row in rows], frequencies, rtol=0.01)
@@ -178,9 +177,9 @@ def test_a_model_that_cannot_have_the_frequencies(tmp_path):
     text = (LAPLACE + priors()).replace('[["k1", 1], ["k2", 1]]', '[["k1", 2]]')
     text = "\n".join(line for line in text.splitlines() if not line.startswith("k2 ="))
     problem = read_problem(write(tmp_path, shaken(2), text))
-    found = findings(problem, run_update(problem, progressbar=False))
-    assert not found.verdict.explains
-    assert any("standard deviations from that of the model" in s for s in found.verdict.sentences)
+    found = problem.verdict(run_update(problem, progressbar=False), "AMBIENT")
+    assert not found.explains
+    assert any("standard deviations from that of the model" in s for s in found.sentences)
 
 
 @pytest.mark.slow
@@ -193,8 +192,8 @@ def test_a_peak_that_the_model_lacks(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AmbientWarning)
         problem = read_problem(write(tmp_path, values, text))
-    found = findings(problem, run_update(problem, progressbar=False))
-    assert not found.verdict.explains
+    found = problem.verdict(run_update(problem, progressbar=False), "AMBIENT")
+    assert not found.explains
 
 
 def test_model_is_the_one_declared_by_hand(path):
@@ -311,7 +310,7 @@ def test_more_modes_than_the_structure_has(tmp_path):
         (
             'error = "noise"',
             "error = -1.0",
-            "`ambient` must have positive spectral densities as `error`, got -1",
+            "`ambient.error` must be positive, got -1",
         ),
         (
             '["first", "roof"]',

@@ -13,7 +13,7 @@ from pymc_features.calibration.sandwich import sentence
 from pymc_features.exceptions import CalibrationWarning, ConfigError
 from pymc_features.update import read_problem, sampling, write_example
 from pymc_features.update.kinds.model import declare
-from pymc_features.update.report.summary import rows, supported
+from pymc_features.update.report.document import rows_of_result
 from pymc_features.update.sampling import Running
 from support.update_files import replaced, variant
 from update.test_update import table_of
@@ -116,8 +116,13 @@ def test_draws_are_as_wide_as_the_residuals_support(finished, result):
     assert claimed < calibrated < 0.2 * wide
 
 
+def told(problem, result, explains=True):
+    """What is said of the width."""
+    return " ".join(text for text, _ in problem.first.sentences(problem, result, explains))
+
+
 def test_no_sentence_without_it(example, result):
-    assert supported(read_problem(example), result.drop_nodes("CAL")) == ""
+    assert told(read_problem(example), result.drop_nodes("CAL")) == ""
 
 
 def test_it_needs_a_scale(example, tmp_path):
@@ -133,7 +138,7 @@ def test_data_that_tell_no_width_are_refused_by_the_key(example, monkeypatch):
     monkeypatch.setattr(sampling, "calibrate", refused)
     wanted = "`likelihood.kinds` must have CAL only where residuals can tell a width: the residuals of y must"
     with pytest.raises(ConfigError, match=wanted):
-        sampling.calibrated(read_problem(example), "CAL", None, None, Running(1, None, False, None, str))
+        sampling.calibrated(read_problem(example), "CAL", None, None, Running(1))
 
 
 def test_gamma_takes_its_observations_as_they_are_given(example, tmp_path):
@@ -180,26 +185,26 @@ def test_what_is_finished_is_reported_where_it_cannot_be_had(example, finished, 
 
 def test_no_interval_comes_first_of_a_model_that_does_not_explain(example, result):
     problem = read_problem(example)
-    assert "CAL comes first, for its intervals" in supported(problem, result)
-    told = supported(problem, result, explains=False)
-    assert "comes first" not in told
-    assert "No interval can be relied on where the model does not explain the measurements." in told
+    assert "CAL comes first, for its intervals" in told(problem, result)
+    said = told(problem, result, explains=False)
+    assert "comes first" not in said
+    assert "No interval can be relied on where the model does not explain the measurements." in said
 
 
 def test_intervals_at_a_bound_are_the_shortest_and_said_to_be(example, result):
     """k1 of a run, as if its prior ended at its median; its growth, as if bands disagreed."""
     changed, k1 = result.copy(), result["CAL/posterior"]["k1"]
     bound = float(k1.quantile(0.999))
-    told = json.loads(result["CAL"].attrs["calibration"])
-    assert set(told["parameters"]) == {"k1", "k2", "k3", "zeta", "sigma"}
-    told["parameters"]["k1"] |= {"near_bound": True, "bound": bound, "room": 0.5}
-    told["sentence"] = sentence(2.4)
-    changed["CAL"].attrs["calibration"] = json.dumps(told)
+    known = json.loads(result["CAL"].attrs["calibration"])
+    assert set(known["parameters"]) == {"k1", "k2", "k3", "zeta", "sigma"}
+    known["parameters"]["k1"] |= {"near_bound": True, "bound": bound, "room": 0.5}
+    known["sentence"] = sentence(2.4)
+    changed["CAL"].attrs["calibration"] = json.dumps(known)
     problem = read_problem(example)
-    said = supported(problem, changed)
+    said = told(problem, changed)
     assert f"Next to a bound of its prior the 90 % interval is the shortest one: k1 ({bound:.4g})." in said
     assert "disagree about the parameters by a factor of 2.4" in said
-    [row] = [r for r in rows(problem, changed) if (r.kind, r.name) == ("CAL", "k1")]
-    [before] = [r for r in rows(problem, result) if (r.kind, r.name) == ("CAL", "k1")]
+    [row] = [r for r in rows_of_result(problem, changed) if (r.kind, r.name) == ("CAL", "k1")]
+    [before] = [r for r in rows_of_result(problem, result) if (r.kind, r.name) == ("CAL", "k1")]
     assert row.q95 - row.q05 <= before.q95 - before.q05
     assert row.q50 == before.q50

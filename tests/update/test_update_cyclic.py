@@ -7,7 +7,6 @@ import pymc_features as pmf
 from pymc_features import cli
 from pymc_features.exceptions import ConfigError
 from pymc_features.update import read_problem, run_update
-from pymc_features.update.report.findings import findings
 from pymc_features.update.report.outputs import write_outputs
 from support.refusals import refusals
 from support.report_pages import words
@@ -68,13 +67,13 @@ def test_the_truth_is_found_and_reported(tmp_path):
     for name, value in TRUE.items():  # outside of 4 standard deviations in one of 15,000 data sets
         mean, sd = float(posterior[name].mean()), float(posterior[name].std())
         assert abs(mean - value) < 4.0 * sd < 0.2 * value
-    found = findings(problem, result)
-    assert found.verdict.explains
-    assert found.verdict.sentences == [
+    found = problem.verdict(result, "NORM")
+    assert found.explains
+    assert found.sentences == [
         "The specimen explains the loops: it accounts for 100 % of the force (share of the mean square)."
     ]
     assert problem.unit("sigma") == "N" and problem.unit("slip") == "-"
-    paths = write_outputs(problem, result, tmp_path / "out", (), found)
+    paths = write_outputs(problem, result, tmp_path / "out")
     assert "NORM_loops.png" in {path.name for path in paths}
     page = words(paths[-1].read_text())
     assert "121 measured forces of a cyclic test" in page and "displacement [m]" in page
@@ -86,8 +85,8 @@ def test_a_specimen_that_cannot_do_it_is_told(tmp_path):
     text = TEXT.replace('pinching = { slip = "slip", spread = 0.3 }', "").replace("stiffness = 0.03", "")
     lines = [line for line in text.split("\n") if not line.startswith("slip")]
     problem = read_problem(write(tmp_path, "\n".join(lines)))
-    found = findings(problem, run_update(problem, progressbar=False))
-    assert "an error of the model, largest at a displacement of" in found.verdict.sentences[-1]
+    found = problem.verdict(run_update(problem, progressbar=False), "NORM")
+    assert "an error of the model, largest at a displacement of" in found.sentences[-1]
 
 
 def test_check_draws_what_the_priors_expect(tmp_path, capsys):

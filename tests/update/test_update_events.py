@@ -353,7 +353,7 @@ def test_a_score_of_which_no_draw_tells_is_not_told():
         "alarm": [0, 1, 0],
     }
     record = xr.Dataset({name: ("event", value) for name, value in values.items()})
-    rows = event_rows(xr.DataTree.from_dict({"sequence": record}))
+    rows = event_rows(record)
     assert rows[0] == ("first", "-1.50", "0.04", "-1.50", "0.000", "")
     assert rows[1] == ("second", "cannot be told", "cannot be told", "-2.00", "1.000", "alarm")
     assert rows[2][1:3] == ("nan", "nan")

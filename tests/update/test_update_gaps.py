@@ -9,8 +9,8 @@ from pymc_features import cli, datasets, signals
 from pymc_features.exceptions import ConfigError
 from pymc_features.update import read_problem, run_update, sampling, write_example, write_outputs
 from pymc_features.update.kinds.model import declare
-from pymc_features.update.report import terminal
-from pymc_features.update.report.findings import findings
+from pymc_features.update.report.document import document_of
+from pymc_features.update.report.terminal import summary
 from pymc_features.update.sampling import Running
 from support.report_pages import words
 from support.update_files import replaced
@@ -153,12 +153,12 @@ def test_the_report_says_what_was_left_out(updated):
     problem, result, paths = updated
     share = 100.0 * np.isnan(problem.measured.channels.values[1]).mean()
     sentence = f"Left out as gaps: {share:.2g} % of floor2."
-    found = findings(problem, result)
-    assert sentence in [part for part, _ in terminal.summary(found) if isinstance(part, str)]
+    found = document_of(problem, result)
+    assert sentence in [part for part, _ in summary(found) if isinstance(part, str)]
     html = words(paths[-1].read_text())
     assert sentence in html
     assert "nan" not in html.lower().replace("resonan", "")
-    assert found.verdict.explains
+    assert found["verdict"]["explains"]
 
 
 @pytest.mark.slow
@@ -220,9 +220,7 @@ def test_a_gap_in_the_shaking_table(data_dir, tmp_path):
         problem = read_problem(table(tmp_path, (21.0, 22.0), value))
         assert bool(problem.measured.left_out) == (name == "gap")
         model = declare(problem, "EXP")
-        found[name] = sampling.sample(problem, "EXP", model, Running(1, None, False, None, str))[
-            "posterior"
-        ].to_dataset()
+        found[name] = sampling.sample(problem, "EXP", model, Running(1))["posterior"].to_dataset()
     scale = found["clean"].std()
     off = {name: abs(found[name].median() - found["clean"].median()) / scale for name in ("gap", "zeros")}
     names = ["k1", "k2", "k3", "zeta", "sigma"]

@@ -5,8 +5,9 @@ import scipy.stats
 
 from pymc_features import cli
 from pymc_features.exceptions import ConfigError
-from pymc_features.update.config import priors, structure_sections
-from pymc_features.update.document import read_config
+from pymc_features.update.config import priors
+from pymc_features.update.config import structures as structure_sections
+from pymc_features.update.config.file import read_config
 from support.update_files import SIGMA, variant
 
 BROKEN = {  # what is said: what is changed, into what

@@ -279,7 +279,7 @@ def test_nodes_of_a_file(folder):
     rows = ",0,0,,mast", "0,0,4,x,mast", "2,0,12,-x,mast", "1,0,8,x,other", "0,0,4,x,other"
     (folder / "nodes.csv").write_text("\n".join(["dof,x,z,direction,line", *rows]) + "\n")
     path = write(folder, "nodes", (MODAL + STRUCTURE).replace(PHI, f'{PHI}\nnodes = "nodes.csv"'))
-    points = read_problem(path).modal.points
+    points = read_problem(path).modal.nodes
     assert points.dofs.tolist() == [-1, 0, 2, 1]
     assert points.nodes["lines"] == [[0, 1, 2], [3, 1]]
     assert points.nodes["directions"][2] == (-1.0, 0.0, 0.0)
@@ -306,7 +306,7 @@ def test_frequencies_alone_have_a_gaussian_posterior(folder):
     # the mean of 2000 draws is off by 4 standard errors once in 16,000 times
     assert abs(draws.mean() - mean) < 4.0 * precision**-0.5 / np.sqrt(2000)
     assert abs(draws.std() * precision**0.5 - 1.0) < 4.0 / np.sqrt(4000)
-    assert "shapes" not in result["MODAL/shapes"] and "shape" not in result["identified"]
+    assert "shape" not in result["identified"]
 
 
 @pytest.fixture(scope="module")
@@ -362,7 +362,7 @@ def test_other_nodes_sample_nothing_other_modes_all(finished, folder, tmp_path, 
     path = write(folder, "m2", (folder / "m.toml").read_text().replace(PHI, f'{PHI}\nnodes = "nodes.csv"'))
     assert cli.main(["update", str(path), "--out", str(out)]) == 0
     with xr.open_datatree(out / "update.nc", engine="h5netcdf") as tree:
-        assert tree["MODAL/shapes"].sizes["point"] == 4
+        assert tree["MODAL/mode_shapes"].sizes["point"] == 4
     path.write_text(path.read_text().replace(PHI, f"{PHI}\nscale = {{ roof = 1.1 }}"))
     with pytest.raises(TypeError, match="not callable"):
         cli.main(["update", str(path), "--out", str(out), "--traceback"])

@@ -15,6 +15,7 @@ from pymc_features import cli, posterior_response
 from pymc_features.exceptions import ConfigError, StudyMismatchError
 from pymc_features.storage import PartStore, held
 from pymc_features.update import read_problem, sampling, write_example
+from pymc_features.update.comparisons import candidates_of
 from pymc_features.update.config import keys
 from pymc_features.update.sensitivity import remaining, sensitivity_sentences
 from support.update_files import replaced
@@ -211,14 +212,11 @@ BAD = {
 
 @pytest.mark.parametrize("said", BAD)
 def test_bad_sections_name_the_key(path, tmp_path, said):
-    from pymc_features.update.candidates import problem_with
-
     changed = path.with_name("bad.toml")
     changed.write_text(replaced(path.read_text(), [BAD[said]]))
     with pytest.raises(ConfigError) as error:
         problem = read_problem(changed)
-        for name in problem.config.compare:
-            problem_with(problem, name)
+        candidates_of(problem)
     assert said in str(error.value)
 
 

@@ -18,9 +18,8 @@ from pymc_features import (
 )
 from pymc_features.update import read_problem, run_update, write_example
 from pymc_features.update.kinds.channels import Measured
-from pymc_features.update.kinds.residuals import residuals_of
-from pymc_features.update.kinds.responses import Responses, measured_gain
-from pymc_features.update.report.summary import overlap_of
+from pymc_features.update.kinds.responses import Responses, measured_gain, residuals_of
+from pymc_features.update.report.document import overlap_of
 from support.update_files import replaced
 
 MASS, STIFFNESS = [0.1601, 0.1601, 0.1421], [385.0, 420.0, 600.0]
@@ -34,7 +33,7 @@ def judged(measured, response, structure, record=SHAKING, low=None, high=None):
     sensors = [f"floor{i}" for i in range(1, len(measured) + 1)]
     channels = xr.DataArray(measured, dims=("sensor", "time"), coords={"sensor": sensors} | TIMES)
     kept = SimpleNamespace(low=low, high=high) if low or high else None
-    measurements = Measured(record, channels, 0.01, "simulated", None)
+    measurements = Measured(record, channels, 0.01, "simulated")
     config = SimpleNamespace(processing=SimpleNamespace(band_pass=kept), cyclic=None)
     responses = Responses(config, measurements, [])
     modes = structure.modes()
@@ -189,12 +188,12 @@ def test_short_records_and_still_bases_raise_no_warning(size):
     rng = np.random.default_rng(0)
     values = rng.standard_normal((2, size))
     base = np.zeros(size) if size == 600 else rng.standard_normal(size)
-    problem = SimpleNamespace(measured=SimpleNamespace(step=0.01, base=base), band=(1.0, 20.0))
+    measured = SimpleNamespace(step=0.01, base=base)
     bands = xr.DataArray(0.9 * values[None], {"quantile": [0.5]}, ("quantile", "sensor", "time"))
     part = {"observed_data": {"y": xr.DataArray(values)}, "bands": {"response": bands}}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = residuals_of(problem, part, np.array([3.0, 9.0]))
+        found = residuals_of(measured, (1.0, 20.0), part, np.array([3.0, 9.0]))
     np.testing.assert_allclose(found.relative, 0.1)
     assert np.isfinite(found.coherence).all()
 

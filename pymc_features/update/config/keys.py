@@ -1,4 +1,4 @@
-"""The parsed configuration file, and its keys, all known: what needs neither PyMC nor seconds of imports."""
+"""The parsed configuration file, and its keys by the JSON schema: without PyMC and seconds of imports."""
 
 import difflib
 import json
@@ -11,25 +11,8 @@ SCHEMA = Path(__file__).with_name("schema.json")  # of `Config`; `python docs/ta
 LARGEST = 2**63 - 1  # integers of TOML have 64 bits
 DEEPEST = 16  # tables and lists within each other
 LONGEST = 200  # characters of a key
-
-
-def check_sizes(value, key: str = "", depth: int = 0) -> None:
-    """Refuse what would only fail later, in a conversion, by a recursion or in a message without end."""
-    if isinstance(value, int) and abs(value) > LARGEST:
-        raise ConfigError(f"`{key}` must be a number of at most 64 bits, got one of {value.bit_length()}.")
-    if not isinstance(value, dict | list):
-        return
-    if depth > DEEPEST:
-        raise ConfigError(f"`{key}` must have at most {DEEPEST} tables or lists within each other, got more.")
-    if isinstance(value, list):
-        for number, item in enumerate(value):
-            check_sizes(item, f"{key}[{number}]", depth + 1)
-        return
-    for name, item in value.items():
-        if len(name) > LONGEST:
-            at = f"`{key}`" if key else "the file"
-            raise ConfigError(f"{at} must have keys of at most {LONGEST} characters, got {len(name)}.")
-        check_sizes(item, f"{key}.{name}" if key else name, depth + 1)
+OTHER = "of another kind"  # what a key must be that says nothing of itself
+ENTRY = 80  # characters of a name that the user chose, in a message
 
 
 def parsed(path) -> dict:
@@ -50,6 +33,7 @@ def parsed(path) -> dict:
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
         check_sizes(raw)
+        check_keys(raw)
     except ConfigError as error:
         raise ConfigError(f"{path.name}: {error}") from error
     except RecursionError:
@@ -57,50 +41,112 @@ def parsed(path) -> dict:
     except ValueError as error:  # of TOML, of its encoding, or of a number with thousands of digits
         reason = str(error).partition(";")[0].rstrip(".")
         raise ConfigError(f"{path.name} must be a TOML file: {reason}.") from error
-    schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
-    if unknown := list(unknown_keys(raw, schema, schema["$defs"])):
-        raise ConfigError(f"{path.name}: {' '.join(unknown)}")
     return raw
 
 
-def unknown_keys(value, schema: dict, definitions: dict, at: str = ""):
-    """A sentence for every key of a value that its JSON schema does not have."""
-    tables = list(tables_of(value, schema, definitions))
+def check_sizes(value, key: str = "", depth: int = 0) -> None:
+    """Refuse what would only fail later, in a conversion, by a recursion or in a message without end."""
+    if isinstance(value, int) and abs(value) > LARGEST:
+        raise ConfigError(f"`{key}` must be a number of at most 64 bits, got one of {value.bit_length()}.")
+    if depth > DEEPEST:
+        raise ConfigError(f"`{key}` must have at most {DEEPEST} tables or lists within each other, got more.")
     if isinstance(value, list):
-        items = [one["items"] for one in tables if "items" in one]
         for number, item in enumerate(value):
-            yield from unknown_keys(item, {"anyOf": items}, definitions, f"{at}[{number}]")
-    if not isinstance(value, dict) or not tables:
-        return
-    is_open = any(one.get("additionalProperties", True) is not False for one in tables)
-    known = {key: part for one in tables for key, part in one.get("properties", {}).items()}
-    others = [
-        one["additionalProperties"] for one in tables if isinstance(one.get("additionalProperties"), dict)
-    ]
-    for name, item in value.items():
-        place = f"{at}.{name}" if at else name
-        if name in known or others:
-            part = known.get(name, {"anyOf": others})
-            yield from unknown_keys(item, part, definitions, place)
-        elif not is_open:
-            close = difflib.get_close_matches(name, known, n=1)
-            hint = f"Did you mean `{close[0]}`?" if close else f"Known here: {', '.join(known)}."
-            yield f"`{place}` must be left out, it is no key. {hint}"
+            check_sizes(item, f"{key}[{number}]", depth + 1)
+    elif isinstance(value, dict):
+        for name, item in value.items():
+            if len(name) > LONGEST:
+                at = f"`{key}`" if key else "the file"
+                raise ConfigError(f"{at} must have keys of at most {LONGEST} characters, got {len(name)}.")
+            check_sizes(item, f"{key}.{name}" if key else name, depth + 1)
 
 
-def tables_of(value, schema: dict, definitions: dict):
-    """The parts of a schema that a value may be one of: objects for a table, arrays for a list."""
-    if "$ref" in schema:
-        schema = definitions[schema["$ref"].rpartition("/")[2]]
-    choices = schema.get("anyOf", schema.get("oneOf"))
-    if choices is None:
+def check_keys(raw: dict) -> None:
+    """Refuse unknown keys, all of them in one message."""
+    if unknown := list(Schema().unknown(raw)):
+        raise ConfigError(" ".join(unknown))
+
+
+class Schema:
+    """The JSON schema of a file, or of a part: `parts`, of which a value has one, and what they refer to."""
+
+    def __init__(self, parts=None, definitions=None):
+        if parts is None:
+            whole = json.loads(SCHEMA.read_text(encoding="utf-8"))
+            parts, definitions = [whole], whole["$defs"]
+        self.parts, self.definitions = parts, definitions
+
+    def choices(self, parts=None):
+        """Yield all alternatives, references and unions looked through."""
+        for part in self.parts if parts is None else parts:
+            if "$ref" in part:
+                part = self.definitions[part["$ref"].rpartition("/")[2]]
+            either = part.get("anyOf", part.get("oneOf"))
+            if either is None:
+                yield part
+            else:
+                yield from self.choices(either)
+
+    def tables(self, value) -> list[dict]:
+        """The alternatives that a value may be: objects for a table, of its `type` if it has one; arrays."""
         wanted = {dict: "object", list: "array"}.get(type(value))
-        if schema.get("type") == wanted:
-            yield schema
-        return
-    mapping = schema.get("discriminator", {}).get("mapping", {})
-    named = value.get("type") if isinstance(value, dict) else None
-    if mapping and named in mapping:
-        choices = [{"$ref": mapping[named]}]
-    for choice in choices:
-        yield from tables_of(value, choice, definitions)
+        found = [part for part in self.choices() if part.get("type") == wanted]
+        named = value.get("type") if isinstance(value, dict) else None
+        return [part for part in found if named in self.types([part])] or found
+
+    def types(self, parts=None) -> list[str]:
+        """What the key `type` of a table may be."""
+        keys = (part.get("properties", {}).get("type", {}) for part in self.choices(parts))
+        return [key["const"] for key in keys if "const" in key]
+
+    def below(self, value, part) -> "Schema | None":
+        """The schema of an item of a list, or of a key of a table; None of a key that is unknown."""
+        tables = self.tables(value)
+        if isinstance(value, list):
+            return Schema([one["items"] for one in tables if "items" in one], self.definitions)
+        known = [one["properties"][part] for one in tables if part in one.get("properties", {})]
+        others = [one.get("additionalProperties") for one in tables]
+        found = known or [one for one in others if isinstance(one, dict)]
+        return Schema(found, self.definitions) if found else None
+
+    def unknown(self, value, at: str = ""):
+        """Yield a sentence for every key of a value that is unknown."""
+        tables = self.tables(value)
+        if isinstance(value, list):
+            for number, item in enumerate(value):
+                yield from self.below(value, number).unknown(item, f"{at}[{number}]")
+        elif isinstance(value, dict) and tables:
+            for name, item in value.items():
+                place, below = f"{at}.{name}" if at else name, self.below(value, name)
+                if below is not None:
+                    yield from below.unknown(item, place)
+                elif all(one.get("additionalProperties", True) is False for one in tables):
+                    known = list(dict.fromkeys(key for one in tables for key in one["properties"]))
+                    close = difflib.get_close_matches(name, known, n=1)
+                    hint = f"Did you mean `{close[0]}`?" if close else f"Known here: {', '.join(known)}."
+                    yield f"`{place}` must be left out, it is no key. {hint}"
+
+    def place(self, location, value) -> tuple[str, str, str, "Schema"]:
+        """Keys of an error joined by dots, what the last of them must be, which entry it is, and its schema.
+
+        A `location` of pydantic has tags of unions ("SpringMassChain") and names of types ("list[str]")
+        besides, which are no keys. Only what the file holds is followed, or a last key that is missing there.
+        An entry is one of a table of plain values, whose names the user chose.
+        """
+        path, words, entry, schema = "", OTHER, "", self
+        for number, part in enumerate(location):
+            tables, below = schema.tables(value), schema.below(value, part)
+            is_known = any(part in one.get("properties", ()) for one in tables)
+            is_held = part in value if isinstance(value, dict) else False
+            is_held = is_held or (isinstance(value, list) and isinstance(part, int) and part < len(value))
+            if not is_held and not (is_known and number == len(location) - 1):
+                continue
+            if isinstance(part, int):
+                path = f"{path}[{part}]"
+            elif is_known or (below is not None and below.tables({})):
+                path = f"{path}.{part}" if path else str(part)
+                words = next((one["description"] for one in below.parts if "description" in one), OTHER)
+            else:
+                entry = str(part)[:ENTRY]
+            value, schema = value[part] if is_held else None, below or Schema([], self.definitions)
+        return path, words, entry, schema

@@ -72,31 +72,36 @@ WindowOrFalse = Annotated[Any, PlainValidator(lambda value: value if value is Fa
 Names = Annotated[list[str], Field(min_length=1)]
 
 
-class SensorFile(Section):
-    """The file of one sensor, and what it does not say itself; see `read_channels`."""
+class FileFormat(Section):
+    """What a file with numbers may not say itself; see `read_record`."""
+
+    units: str | float | None = key('"g", "m/s^2", "cm/s^2", "gal", or SI units per file unit', None)
+    dt: float | None = key("the sampling interval in seconds, positive", None, gt=0)
+    wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
+
+
+class ChannelFormat(FileFormat):
+    """What a file with channels may not say itself; see `read_channels`."""
+
+    clock: int | str | Literal[False] | None = key("the column with the times, or false", None)
+    clock_units: str | float | None = key('"s", "ms", "us", "ns", or seconds per count', None)
+    skip: int | None = key("the number of rows to leave out at the start, not negative", None, ge=0)
+
+
+class SensorFile(ChannelFormat):
+    """The file of one sensor."""
 
     file: str = key("a file")
     column: int | str | None = key("a column, by index from 0 or header name", None)
-    units: str | float | None = key('"g", "m/s^2", "cm/s^2", "gal", or SI units per file unit', None)
     sensitivity: str | float | None = key('a text such as "100 mV/g", or V per SI unit', None)
     scale: float | None = key("a factor, -1.0 for an inverted sensor", None)
     delay: float | None = key("the seconds by which it comes late", None)
     anchors: list[list[float]] | None = key(
         "two pairs of a reading of its clock and the true time in seconds", None
     )
-    dt: float | None = key("the sampling interval in seconds, positive", None, gt=0)
-    clock: int | str | Literal[False] | None = key("the column with the times, or false", None)
-    clock_units: str | float | None = key('"s", "ms", "us", "ns", or seconds per count', None)
-    skip: int | None = key("the number of rows to leave out at the start, not negative", None, ge=0)
-    wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What it says, by the name that `read_channels` takes."""
-        return self.model_dump(exclude_none=True)
 
 
-class Data(Section):
+class Data(ChannelFormat):
     """Which channels were measured, and where on the structure."""
 
     dataset: Literal["mini_shake_table"] | None = key('"mini_shake_table", or left out', None)
@@ -108,12 +113,6 @@ class Data(Section):
     columns: int | str | list[int | str] | dict[str, int | str] | None = key(
         "a column, by index from 0 or header name, a list, or a table of sensor names to columns", None
     )
-    units: str | float | None = key('"g", "m/s^2", "cm/s^2", "gal", or m/s^2 per file unit', None)
-    dt: float | None = key("the sampling interval in seconds, positive", None, gt=0)
-    clock: int | str | Literal[False] | None = key("the column with the times, or false", None)
-    clock_units: str | float | None = key('"s", "ms", "us", "ns", or seconds per count', None)
-    skip: int = key("the number of rows to leave out at the start, not negative", 0, ge=0)
-    wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
     resample: float | None = key("the sampling rate in Hz that all sensors get, positive", None, gt=0)
     quantity: Literal[tuple(MEASURED)] = key(f"one of {', '.join(MEASURED)}", "absolute_acceleration")
     interpolation: Interpolation = key(
@@ -126,7 +125,6 @@ class Data(Section):
     dofs: list[int] | None = key(
         "the degrees of freedom of `data.sensors`, whole numbers, 0 next to the base", None
     )
-
     scale: float | dict[str, float] | None = key(
         "a factor for all sensors, or a table of sensor names to factors, -1.0 for an inverted one", None
     )
@@ -157,14 +155,11 @@ class Data(Section):
         return self
 
 
-class RecordFile(Section):
+class RecordFile(FileFormat):
     """The ground motion, where no sensor measured it."""
 
     path: str = key("the file with the ground acceleration")
-    units: str | float | None = key('"g", "m/s^2", "cm/s^2", "gal", or m/s^2 per file unit', None)
-    dt: float | None = key("the sampling interval in seconds, positive", None, gt=0)
     column: int | str | None = key("a column, by index from 0 or header name", None)
-    wrapped: bool | None = key("true if one series runs along the lines of a text file, else false", None)
     interpolation: Interpolation = key('"band-limited" or "linear", between the samples', INTERPOLATIONS[0])
     delay: float = key("the time in seconds of the first sample on the clock of the channels", 0.0)
 

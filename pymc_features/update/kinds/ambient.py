@@ -13,7 +13,7 @@ import xarray as xr
 from pydantic import PlainValidator, model_validator
 from pytensor.graph.replace import clone_replace
 
-from pymc_features import plots, signals
+from pymc_features import plots
 from pymc_features.ambient import AmbientResponse, identify_modes, propose_bands, spectral_response
 from pymc_features.ambient.bands import Bands, band_transform, checked_bands, transfer_functions
 from pymc_features.ambient.response import parameters_of
@@ -24,21 +24,21 @@ from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.storage import fingerprint
 from pymc_features.structures import Structure
 from pymc_features.update.config.entries import Vector, evaluated
-from pymc_features.update.config.messages import named_key
+from pymc_features.update.config.messages import named_key, refuse
 from pymc_features.update.config.sections import Section, key, window
-from pymc_features.update.kinds.base import KindOfData, Setting, check_positive_priors
-from pymc_features.update.kinds.channels import checked_dofs, detrended, read_corrected
+from pymc_features.update.kinds.base import (
+    QUANTILES,
+    Figure,
+    KindOfData,
+    Setting,
+    Verdict,
+    channels_table,
+    check_positive,
+    drawn_to,
+)
+from pymc_features.update.kinds.channels import checked_dofs, read_whole
 from pymc_features.update.kinds.modal import Modal, ModalSection
 from pymc_features.update.kinds.model import thinned
-from pymc_features.update.presentation.shown import (
-    SENSORS,
-    Figure,
-    Verdict,
-    processing_steps,
-    sensor_rows,
-    table,
-    write_figure,
-)
 
 AMBIENT = Likelihood(
     "AMBIENT",
@@ -52,21 +52,21 @@ UNITS = {"dofs": "N^2/Hz", "modes": "N^2/kg/Hz"}  # of the forces
 ERROR = "m^2/s^3"  # (m/s^2)^2/Hz
 PASSED = 0.4  # of the sampling rate: what decimation leaves as it was
 PARTNER = {"sigma_f": 0.01, "sigma_phi": 0.05}  # by which modes of the model are matched
-QUANTILES = (0.05, 0.5, 0.95)
 DRAWS = 50
 LEAKS = 8  # quarters of a resolution on each side from which averaged spectra take in
 FEWEST, PARTS = 24, 8  # frequencies of a part of a band, and parts of a band
 CERTAIN = 6.0  # standard deviations of a part of a band off
 APART = 5.0  # standard deviations between an identified frequency and that of the model
 MUCH = 1.5  # factor of the power that is worth a word
-ADVICE = {
-    "base": "The motion of the base is not known, or there is none.",
-    "gaps": "Take a part of the record without gaps.",
-    "band_pass": "Choose by `ambient.bands` which frequencies are compared.",
-    "compare": "Choose by `processing.trim` what is compared.",
-    "check_band": "Channels are checked against a base.",
-    "natural_frequencies": "Those of the channels are identified and shown.",
-    "quantities": "No response is predicted.",
+LEFT_OUT = {  # keys that mean nothing here, and why
+    "record likelihood events modal": "The spectra of the channels are compared, as [ambient] says.",
+    "data.base": "The motion of the base is not known, or there is none.",
+    "data.gaps": "Take a part of the record without gaps.",
+    "processing.band_pass": "Choose by `ambient.bands` which frequencies are compared.",
+    "processing.compare": "Choose by `processing.trim` what is compared.",
+    "processing.check_band": "Channels are checked against a base.",
+    "report.natural_frequencies": "Those of the channels are identified and shown.",
+    "report.quantities": "No response is predicted.",
 }
 
 
@@ -89,19 +89,10 @@ class AmbientSection(Section):
 
     @model_validator(mode="after")
     def one_for_each_band(self):
-        """Numbers are positive, and lists fit the bands."""
+        """Lists need bands that are listed."""
         for name in ("force", "error"):
-            value = getattr(self, name)
-            numbers = [v for v in (value if isinstance(value, list) else [value]) if isinstance(v, float)]
-            if any(number <= 0.0 for number in numbers):
-                raise ValueError(f"must have positive spectral densities as `{name}`, got {min(numbers):g}")
-            if isinstance(value, list) and self.bands == "auto":
+            if isinstance(getattr(self, name), list) and self.bands == "auto":
                 raise ValueError(f'must list `bands` where `{name}` is a list, got "auto"')
-            if isinstance(value, list) and len(value) != len(self.bands):
-                raise ValueError(
-                    f"must have one value or one for each of the {len(self.bands)} bands as `{name}`, got "
-                    f"{len(value)}"
-                )
         return self
 
     def parameters(self, config=None):
@@ -112,33 +103,15 @@ class AmbientSection(Section):
 
 @dataclass(frozen=True)
 class Ambient(KindOfData):
-    """Accelerations under forces that nobody measured.
+    """Accelerations under forces that nobody measured."""
 
-    Attributes
-    ----------
-    config : Config
-        The configuration file.
-    channels : DataArray (sensor, time)
-        Measured accelerations [m/s^2] at `step`.
-    step : float
-        Sampling interval [s].
-    bands : array (band, 2)
-        Frequencies that are compared [Hz].
-    source : str
-        Where the channels come from.
-    dofs : list of int
-        Degree of freedom of each sensor.
-    structure : Structure
-        What the priors expect.
-    """
-
-    config: Any
-    channels: xr.DataArray
-    step: float
-    bands: np.ndarray
-    source: str
-    dofs: list[int]
-    structure: Structure
+    config: Any  # the configuration file
+    channels: xr.DataArray  # (sensor, time) measured accelerations [m/s^2] at `step`
+    step: float  # sampling interval [s]
+    bands: np.ndarray  # (band, 2) Frequencies that are compared [Hz]
+    source: str  # where the channels come from
+    dofs: list[int]  # degree of freedom of each sensor
+    structure: Structure  # what the priors expect
 
     key, section = "ambient", AmbientSection
     own = (AMBIENT,)
@@ -158,51 +131,22 @@ class Ambient(KindOfData):
                 '`ambient` must be given with `data.excitation = "ambient"`: a table with `force` and '
                 "`error`, the spectral densities of forces and errors."
             )
-        for name in ("record", "likelihood", "events", "modal"):
-            if name in config.model_fields_set:
-                raise ConfigError(
-                    f'`{name}` must be left out with `data.excitation = "ambient"`, got it. The spectra of '
-                    "the channels are compared, as [ambient] says."
-                )
-        asked = config.processing
-        of_data = {
-            "base": config.data.base,
-            "gaps": None if config.data.gaps == "refuse" else config.data.gaps,
-        }
-        for section, given in (
-            ("data", of_data),
-            ("processing", {name: getattr(asked, name) for name in ("band_pass", "compare", "check_band")}),
-            ("report", {"natural_frequencies": config.report.natural_frequencies}),
-            ("report", {"quantities": config.report.quantities or None}),
-        ):
-            for name, value in given.items():
-                if value is not None:
-                    raise ConfigError(
-                        f'`{section}.{name}` must be left out with `data.excitation = "ambient"`, got it. '
-                        f"{ADVICE[name]}"
-                    )
+        for keys, advice in LEFT_OUT.items():
+            refuse(config, keys, f'with `data.excitation = "ambient"`, got it. {advice}')
 
     @classmethod
     def read(cls, given: Setting):
         """Read, correct and process the channels, and find bands if it is asked for."""
-        config = given.config
+        config, asked = given.config, given.config.ambient
         dofs = checked_dofs(config, given.expected.n_dof)
-        check_positive_priors("ambient", config.ambient, ("force", "error"), given.priors)
-        channels, source = read_corrected(config, given.folder)
-        asked = config.processing
-        channels = detrended(channels, asked)
-        if asked.trim is not None:
-            with named_key("processing.trim"):
-                channels = signals.trim(channels, *asked.trim)
-        with named_key("processing.decimate"):
-            channels = signals.decimate(channels, asked.decimate)
-        with named_key("data"):
-            step = signals.sampling_step(channels)
-        bands = config.ambient.bands
+        n_bands = None if asked.bands == "auto" else len(asked.bands)
+        for name in ("force", "error"):
+            check_positive(f"ambient.{name}", getattr(asked, name), given.priors, n_bands, "bands")
+        channels, step, source = read_whole(config, given.folder)
         with named_key("ambient.bands"):
-            bands = propose_bands(channels) if bands == "auto" else bands
+            bands = propose_bands(channels) if asked.bands == "auto" else asked.bands
             bands = checked_bands(bands, channels.sizes["time"], step, 0).limits
-        if asked.decimate > 1 and bands.max() > PASSED / step:
+        if config.processing.decimate > 1 and bands.max() > PASSED / step:
             raise ConfigError(
                 f"`ambient.bands` must end below {PASSED / step:.4g} Hz after `processing.decimate`, got "
                 f"{bands.max():.4g} Hz: decimation weakens what is above. Decimate less."
@@ -220,18 +164,32 @@ class Ambient(KindOfData):
         AmbientWarning
             If a band has no mode, or a mode is too narrow, as that of a machine.
         """
-        return identified(self.channels, self.bands, self.dofs, self.structure)
+        try:
+            with named_key("ambient.bands"):
+                data = identify_modes(self.channels, self.bands)
+        except ConfigError as error:
+            warnings.warn(f"No modes were identified to compare with: {error}", AmbientWarning, stacklevel=2)
+            return None
+        dofs, partner = self.dofs, PARTNER
+        if len(dofs) < 2:  # a shape of one entry says nothing
+            known = {name: getattr(data, name) for name in ("frequency_sd", "damping_ratios", "damping_sd")}
+            data, dofs, partner = ModalData(data.frequencies, **known), [], {"sigma_f": PARTNER["sigma_f"]}
+        section = ModalSection(file="", shapes=bool(dofs), **partner)
+        try:
+            return Modal.made(section, data, dofs, self.structure, "the spectra in the bands")
+        except ConfigError:
+            warnings.warn(
+                f"The channels have {len(data)} modes in the bands, more than the structure: it cannot "
+                "explain all of them. Choose `ambient.bands` around those that it has.",
+                AmbientWarning,
+                stacklevel=2,
+            )
+            return None
 
     @property
     def duration(self) -> float:
         """Duration of the record [s]."""
         return self.step * self.channels.sizes["time"]
-
-    @property
-    def sentence(self) -> str:
-        """Which bands are compared, as [ambient] has them."""
-        pairs = ", ".join(f"[{low:.4g}, {high:.4g}]" for low, high in self.bands)
-        return f"bands = [{pairs}]  # Hz"
 
     @property
     def used(self):
@@ -242,6 +200,16 @@ class Ambient(KindOfData):
     def band(self):
         """From the first to the last that is compared."""
         return float(self.bands.min()), float(self.bands.max())
+
+    @property
+    def placed(self):
+        """Take the places of [data]."""
+        return dict(zip(self.config.data.sensors, self.dofs, strict=True))
+
+    @property
+    def is_checked(self):
+        """Whether modes were identified."""
+        return self.modes is not None
 
     def prints(self):
         """Return fingerprints of the channels and the bands."""
@@ -258,12 +226,10 @@ class Ambient(KindOfData):
         pm.modelcontext(None).add_coords({dim: self.channels[dim].values for dim in DIMS})
         force, error = (pt.as_tensor_variable(evaluated(v, values)) for v in (asked.force, asked.error))
         with named_key("ambient", excitation="ambient.force", error="ambient.error"):
-            found = spectral_response(
-                structure, force, forces=asked.forces, sensors=self.dofs, n_modes=problem.structure.n_modes
-            )
+            settings = {"forces": asked.forces, "sensors": self.dofs, "n_modes": problem.structure.n_modes}
             AmbientResponse(
                 "y",
-                found,
+                spectral_response(structure, force, **settings),
                 error=error,
                 bands=self.bands,
                 dt=self.step,
@@ -276,19 +242,20 @@ class Ambient(KindOfData):
         found = {"spectra": fitted_spectra(self, model, idata["posterior"].to_dataset())}
         return found if self.modes is None else found | self.modes.predict(problem, likelihood, model, idata)
 
-    def shared(self, problem, parts):
-        """The modes of the channels, and shapes of draws."""
-        return {} if self.modes is None else self.modes.shared(problem, parts)
+    def shared(self, problem):
+        """Averages of the spectra of the channels over twenty parts: singular values; and their modes."""
+        spectra = averaged_spectra(self.channels.values, self.step)
+        values = (("value", "frequency"), spectra.singular_values[1:].T, {"units": "(m/s^2)^2/Hz"})
+        found = xr.Dataset(
+            {"singular_value": values, "band": (("band", "end"), np.asarray(self.bands))},
+            {"frequency": spectra.frequencies[1:]},
+        )
+        return {"singular_values": found} | ({} if self.modes is None else self.modes.shared(problem))
 
-    @property
-    def placed(self):
-        """Take the places of [data]."""
-        return dict(zip(self.config.data.sensors, self.dofs, strict=True))
-
-    @property
-    def is_checked(self):
-        """Whether modes were identified."""
-        return self.modes is not None
+    def draw(self, fitted=None):
+        """Figure of the singular values, perhaps with those of the fitted model."""
+        identified = None if self.modes is None else self.modes.data.frequencies
+        return plots.plot_singular_values(self.channels, self.bands, frequencies=identified, fitted=fitted)
 
     def told(self):
         """Say where the channels come from, and which modes they have."""
@@ -298,25 +265,19 @@ class Ambient(KindOfData):
 
     def check(self, problem, path):
         """Draw the spectra with the bands; the line of the file with the bands, and the modes."""
-        write_figure(draw_spectra(self), path)
-        yield self.sentence
-        yield f"wrote {path}"
+        wrote = drawn_to(path, self.draw)
+        yield f"bands = [{', '.join(f'[{low:.4g}, {high:.4g}]' for low, high in self.bands)}]  # Hz"
+        yield wrote
         if self.modes is not None:
             yield from self.modes.check(problem, path.with_name(f"{path.stem}-modes{path.suffix}"))
 
-    def tables(self, problem):
+    def tables(self, problem, result):
         """The channels, the bands, and the modes."""
-        asked, named = self.config.ambient, self.channels
         bands = ", ".join(f"{low:.4g} to {high:.4g} Hz" for low, high in self.bands)
-        note = (
-            f"The {', '.join(processing_steps(self.source, self.config.processing))}: "
-            f"{named.sizes['time']} samples at {self.step:.6g} s. Nobody measured the forces. Compared are "
-            f"the frequencies {bands}"
-            f"{', proposed from the peaks of the spectra' if asked.bands == 'auto' else ''}."
-        )
-        rows = sensor_rows(named["sensor"].values, self.dofs, named.values)
-        found = [table("channels", "data", "Channels", SENSORS, rows, note)]
-        return found if self.modes is None else found + self.modes.tables(problem)
+        how = ", proposed from the peaks of the spectra" if self.config.ambient.bands == "auto" else ""
+        more = f". Nobody measured the forces. Compared are the frequencies {bands}{how}."
+        found = [channels_table(self.config, self.source, self.dofs, self.channels, self.step, more)]
+        return found if self.modes is None else found + self.modes.tables(problem, result)
 
     def figures_of(self, problem, part, kind):
         """The spectra, and the modes."""
@@ -325,61 +286,27 @@ class Ambient(KindOfData):
             f"{kind}: singular values of the spectra of the channels (black the first, grey the others), "
             "averaged over twenty parts of the record; shaded the bands that are compared, and in red "
             "what the model makes of them there, median and 5-95 % interval. Dotted: identified modes.",
-            lambda: draw_spectra(self, part["spectra"].to_dataset()),
+            lambda: self.draw(part["spectra"].to_dataset()),
         )
         return [spectra, *(() if self.modes is None else self.modes.figures_of(problem, part, kind))]
 
-    def drawn(self, problem):
-        """Singular values of the spectra of the channels."""
-        return {"singular_values": singular_values(self)}
-
-    def drawn_of(self, problem, part):
-        """The modes of the channels."""
-        return {} if self.modes is None else self.modes.drawn_of(problem, part)
-
     def verdict(self, problem, result, kind):
         """Whether the power in each part of the bands is what the model expects, and the modes are."""
-        modes = self.modes
-        rows = [] if modes is None else modes.rows(result[f"{kind}/matched"])
-        sd = [] if modes is None else modes.data.frequency_sd
-        of_spectra = verdict_of_spectra(result[f"{kind}/spectra"].to_dataset(), rows, sd)
-        if modes is None:
-            return of_spectra
-        of_modes = modes.verdict(problem, result, kind)
-        return Verdict(
-            [*of_spectra.sentences, *of_modes.sentences], of_spectra.explains and of_modes.explains
-        )
-
-
-def compared_modes(data: ModalData) -> ModalSection:
-    """A section [modal] by which the modes of a model are matched with those that channels have."""
-    if data.shapes is None:
-        return ModalSection(file="", shapes=False, sigma_f=PARTNER["sigma_f"])
-    return ModalSection(file="", **PARTNER)
-
-
-def identified(channels, bands, dofs, structure) -> Modal | None:
-    """The modes that channels have in some bands, where a model can have as many."""
-    try:
-        with named_key("ambient.bands"):
-            data = identify_modes(channels, bands)
-    except ConfigError as error:
-        warnings.warn(f"No modes were identified to compare with: {error}", AmbientWarning, stacklevel=2)
-        return None
-    if len(dofs) < 2:  # a shape of one entry says nothing
-        known = {name: getattr(data, name) for name in ("frequency_sd", "damping_ratios", "damping_sd")}
-        data, dofs = ModalData(data.frequencies, **known), []
-    section = compared_modes(data)
-    try:
-        return Modal.compared(section, data, dofs, structure, "the spectra in the bands")
-    except ConfigError:
-        warnings.warn(
-            f"The channels have {len(data)} modes in the bands, more than the structure: it cannot explain "
-            "all of them. Choose `ambient.bands` around those that it has.",
-            AmbientWarning,
-            stacklevel=2,
-        )
-        return None
+        found = [verdict_of_power(result[f"{kind}/spectra"].to_dataset())]
+        if self.modes is not None:
+            rows, sd = self.modes.rows(result[f"{kind}/matched"]), self.modes.data.frequency_sd
+            off = [abs(row.deviation(error)) for row, error in zip(rows, sd, strict=True)]
+            beside = [(z, row) for z, row in zip(off, rows, strict=True) if z > APART and row.has_partner]
+            if beside:
+                worst, row = max(beside)
+                sentence = (
+                    f"The identified mode {row.name} lies {worst:.0f} standard deviations from that of the "
+                    "model: the structure cannot have these frequencies together, and the intervals, which "
+                    "take it for right, are too narrow. Let more of it be uncertain."
+                )
+                found.append(Verdict([sentence], False))
+            found.append(self.modes.verdict(problem, result, kind))
+        return Verdict([s for one in found for s in one.sentences], all(one.explains for one in found))
 
 
 def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
@@ -393,15 +320,22 @@ def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
         expected, in all directions alike, F' E^-1 F / s, its mean over the draws and over the frequencies
         between `low` and `high` [Hz], and its standard deviation `sd` if the model is right.
     """
+    from scipy import signal  # a second to import
+
     bands = checked_bands(ambient.bands, ambient.channels.sizes["time"], ambient.step, 0)
     spectra = averaged_spectra(ambient.channels.values, ambient.step)
-    f = spectra.frequencies
+    f, length = spectra.frequencies, spectra.length
     band = np.searchsorted(ambient.bands[:, 0], f, side="right") - 1
     inside = (band >= 0) & (f <= ambient.bands[band, 1])
-    kernel, offsets = seen_by_welch(spectra.length)
+    # an averaged spectrum takes neighbouring frequencies together, by the transform of its window
+    offsets = np.arange(-LEAKS, LEAKS + 1) / 4.0
+    wave = np.exp(-2j * np.pi * np.outer(offsets, np.arange(length) / length))
+    kernel = np.abs(wave @ signal.get_window("hann", length)) ** 2
+    kernel /= kernel.sum()
     fine = f[inside, None] + f[1] * offsets
-    of_channels, values = transforms(ambient, bands), []
-    ratios = np.zeros(bands.bins.size)
+    transformed = band_transform(ambient.channels.values, bands.bins, bands.weights, ambient.step)
+    of_channels = (transformed[:, 0] + 1j * transformed[:, 1]).T
+    values, ratios = [], np.zeros(bands.bins.size)
     own_band = np.repeat(np.arange(len(bands.limits)), np.diff(bands.starts))
     for parameters in parts_of_draws(model, posterior):
         expected = covariance(parameters, fine.ravel(), np.repeat(band[inside], offsets.size))
@@ -424,30 +358,12 @@ def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
     ).transpose("quantile", "value", "frequency", "part")
 
 
-def seen_by_welch(length: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shares, and distances in resolutions, of the frequencies that an averaged spectrum takes together."""
-    from scipy import signal  # a second to import
-
-    offsets = np.arange(-LEAKS, LEAKS + 1) / 4.0
-    wave = np.exp(-2j * np.pi * np.outer(offsets, np.arange(length) / length))
-    power = np.abs(wave @ signal.get_window("hann", length)) ** 2
-    return power / power.sum(), offsets
-
-
-def transforms(ambient, bands: Bands) -> np.ndarray:
-    """Complex transforms (k, s) of the channels at the frequencies of all bands."""
-    found = band_transform(ambient.channels.values, bands.bins, bands.weights, ambient.step)
-    return (found[:, 0] + 1j * found[:, 1]).T
-
-
 def parts_of_draws(model, posterior: xr.Dataset):
     """Frequencies, damping ratios, shapes, factors of forces and errors at some draws of the posterior."""
-    few = thinned(posterior, DRAWS)
-    names = [rv.name for rv in model.free_RVs]
+    few, names = thinned(posterior, DRAWS), [rv.name for rv in model.free_RVs]
     inputs = [model[name].type(name) for name in names]
-    parts = clone_replace(
-        parameters_of(model["y"]), dict(zip((model[n] for n in names), inputs, strict=True))
-    )
+    replaced = dict(zip((model[name] for name in names), inputs, strict=True))
+    parts = clone_replace(parameters_of(model["y"]), replaced)
     function = pytensor.function(inputs, parts, mode="FAST_COMPILE", on_unused_input="ignore")
     for chain, draw in np.ndindex(few.sizes["chain"], few.sizes["draw"]):
         one = few.isel(chain=chain, draw=draw)
@@ -478,72 +394,28 @@ def by_parts(bands: Bands, values, n_sensors: int) -> np.ndarray:
     return np.array(rows).T
 
 
-def verdict_of_spectra(fitted, modes, sd) -> Verdict:
-    """Judge how a model meets the spectra.
-
-    Parameters
-    ----------
-    fitted : Dataset
-        From `fitted_spectra`.
-    modes : list of ModeRow
-        Identified modes and those of the model.
-    sd : array
-        Standard deviations of the identified frequencies [Hz].
-    """
-    by_parts = verdict_of_parts(fitted)
-    off = [row.deviation(error) for row, error in zip(modes, sd, strict=True)]
-    beside = [(abs(z), row) for z, row in zip(off, modes, strict=True) if abs(z) > APART and row.has_partner]
-    if not beside:
-        return by_parts
-    worst, row = max(beside)
-    sentence = (
-        f"The identified mode {row.name} lies {worst:.0f} standard deviations from that of the model: the "
-        "structure cannot have these frequencies together, and the intervals, which take it for right, are "
-        "too narrow. Let more of it be uncertain."
-    )
-    return Verdict([*by_parts.sentences, sentence], False)
-
-
-def verdict_of_parts(fitted) -> Verdict:
-    """Judge the power in each part of the bands."""
+def verdict_of_power(fitted) -> Verdict:
+    """Judge the power in each part of the bands, see `fitted_spectra`."""
     ratio, sd = fitted["ratio"].values, fitted["sd"].values
     more = (ratio > MUCH) & (ratio - 1.0 > CERTAIN * sd)
     less = (ratio < 1.0 / MUCH) & (1.0 - ratio > CERTAIN * sd)
     ends = zip(fitted["low"].values, fitted["high"].values, strict=True)
     places, n = [f"{low:.4g} to {high:.4g} Hz" for low, high in ends], len(ratio)
-    if not (more | less).any():
+    wrong = (more | less).sum()
+    if not wrong:
         where = f"all {n} parts of the bands" if n > 1 else "its band"
         return Verdict([f"The power of the channels is what the model expects in {where}."], True)
-    wrong = (more | less).sum()
-    sentences = [
-        f"The power of the channels is not what the model expects in {wrong} of {n} parts of the bands."
-    ]
+    told = [f"The power of the channels is not what the model expects in {wrong} of {n} parts of the bands."]
     if more.any():
         worst = int(np.argmax(np.where(more, ratio, 0.0)))
-        sentences.append(
+        told.append(
             f"The channels have up to {ratio[worst]:.2g} times the power that it expects, most at "
             f"{places[worst]}: a mode, a direction or a machine may be missing, or a force that is not white."
         )
     if less.any():
         worst = int(np.argmin(np.where(less, ratio, np.inf)))
-        sentences.append(
+        told.append(
             f"They have down to {ratio[worst]:.2g} of the power that it expects, most at {places[worst]}: "
             "forces or errors may differ from band to band. Give them a value for each."
         )
-    return Verdict(sentences, False)
-
-
-def draw_spectra(ambient: Ambient, fitted=None):
-    """Figure of the singular values, perhaps with those of the fitted model."""
-    identified = None if ambient.modes is None else ambient.modes.data.frequencies
-    return plots.plot_singular_values(ambient.channels, ambient.bands, frequencies=identified, fitted=fitted)
-
-
-def singular_values(ambient) -> xr.Dataset:
-    """Average the spectra of the channels over twenty parts: singular values, and bands [Hz]."""
-    spectra = averaged_spectra(ambient.channels.values, ambient.step)
-    values = (("value", "frequency"), spectra.singular_values[1:].T, {"units": "(m/s^2)^2/Hz"})
-    return xr.Dataset(
-        {"singular_value": values, "band": (("band", "end"), np.asarray(ambient.bands))},
-        {"frequency": spectra.frequencies[1:]},
-    )
+    return Verdict(told, False)

@@ -1,43 +1,64 @@
 """What every kind of data says of itself: its section, what was read, and what is made of it."""
 
-from collections.abc import Iterator
+import io
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
+from pymc_features import plots
 from pymc_features.exceptions import ConfigError
 from pymc_features.likelihoods import Likelihood
+from pymc_features.storage import write_atomically
 from pymc_features.structures import Structure
-from pymc_features.update.config.entries import priors_in
+from pymc_features.update.config.entries import Parameter
 from pymc_features.update.config.sections import Section
 from pymc_features.update.plausibility.prior_modes import PriorModes
-from pymc_features.update.presentation.shown import Figure, Verdict
+
+CHECK_DPI, REPORT_DPI = 120, 110
+SENSORS = ("sensor", "degree of freedom", "peak [m/s²]", "rms [m/s²]")
+QUANTILES = (0.05, 0.5, 0.95)
 
 
 class Setting(NamedTuple):
-    """What a kind of data is read with.
+    """What a kind of data is read with."""
 
-    Attributes
-    ----------
-    config : Config
-        The configuration file.
-    folder : Path
-        Files are relative to it.
-    priors : dict
-        Names to `Prior`.
-    expected : Structure
-        At the medians of the priors; of a program the values of its parameters.
-    prior : PriorModes or None
-        Natural modes of draws of the priors; None without modes.
-    """
+    config: Any  # the configuration file
+    folder: Path  # files are relative to it
+    priors: dict[str, Any]  # names to `Prior`
+    expected: Structure  # at the medians of the priors; of a program the values of its parameters
+    prior: PriorModes | None  # natural modes of draws of the priors; None without modes
 
-    config: Any
-    folder: Path
-    priors: dict[str, Any]
-    expected: Structure
-    prior: PriorModes | None
+
+class Verdict(NamedTuple):
+    """What to think of the fit: sentences, of which the first says whether the model explains the data."""
+
+    sentences: list[str]
+    explains: bool
+
+
+class Figure(NamedTuple):
+    """A figure: its file name without suffix, its caption, and a function that draws it."""
+
+    name: str
+    caption: str
+    draw: Callable
+
+    def png(self, dpi: float = REPORT_DPI) -> bytes:
+        """The figure as a PNG file; it is released."""
+        axes, buffer = self.draw(), io.BytesIO()
+        axes[0].get_figure(root=True).savefig(buffer, dpi=dpi, format="png")
+        plots.close(axes[:1])
+        return buffer.getvalue()
+
+
+def drawn_to(path: Path, draw: Callable) -> str:
+    """Write a figure of `check`; a sentence that says so."""
+    image = Figure("", "", draw).png(CHECK_DPI)
+    write_atomically(path, lambda to: to.write_bytes(image))
+    return f"wrote {path}"
 
 
 class KindOfData:
@@ -57,6 +78,16 @@ class KindOfData:
         That are sampled where it is the first kind of a problem; others join what is sampled.
     dofs : list of int
         Degree of freedom of each sensor.
+    used : str
+        What they are, in words.
+    measures : str
+        Which motion the measured responses are, and in which unit; empty without responses.
+    band : tuple of two floats
+        Frequencies [Hz] that the data have.
+    identity : str
+        What a finished part is recognised by besides settings; data that may be added are no other problem.
+    placed : dict
+        Names of the sensors to their degrees of freedom.
     """
 
     key: str
@@ -65,6 +96,9 @@ class KindOfData:
     is_checked: bool = True
     likelihoods: list[str]
     dofs: list[int]
+    used: str
+    measures = identity = ""
+    band = 0.0, np.inf
 
     @classmethod
     def is_asked(cls, config) -> bool:
@@ -96,7 +130,7 @@ class KindOfData:
         """Groups of a result that say what a posterior makes of the data."""
         return {}
 
-    def shared(self, problem, parts) -> dict[str, xr.Dataset]:
+    def shared(self, problem) -> dict[str, xr.Dataset]:
         """Groups of the result of all likelihoods, by path."""
         return {}
 
@@ -105,42 +139,21 @@ class KindOfData:
         return {}
 
     @property
-    def identity(self) -> str:
-        """What a finished part is recognised by besides; data that may be added are no other problem."""
-        return ""
-
-    @property
-    def band(self) -> tuple[float, float]:
-        """Frequencies [Hz] that the data have."""
-        return 0.0, np.inf
-
-    @property
-    def used(self) -> str:
-        """What they are, in words."""
-        raise NotImplementedError
+    def placed(self) -> dict[str, int]:
+        """Names of the sensors to their degrees of freedom."""
+        return {}
 
     def foretold(self, problem) -> list[str]:
         """What likelihoods cannot tell, before anything is sampled."""
         return []
 
-    @property
-    def measures(self) -> str:
-        """Which motion the measured responses are, and in which unit; empty without responses."""
-        return ""
-
-    @property
-    def left_out(self) -> str:
-        """Which part of each sensor is left out as a gap; empty without gaps."""
-        return ""
-
-    @property
-    def placed(self) -> dict[str, int]:
-        """Names of the sensors to their degrees of freedom."""
-        return {}
-
     def verdict(self, problem, result, kind: str) -> Verdict:
         """Judge how one likelihood of a result meets the data."""
         return Verdict([], True)
+
+    def sentences(self, problem, result, explains: bool) -> Iterator[tuple[str, bool]]:
+        """What else comes first in a report, and whether it is good news; `explains` is the verdict."""
+        yield from ()
 
     def told(self) -> Iterator[str | dict]:
         """Sentences and tables on what was read."""
@@ -150,8 +163,8 @@ class KindOfData:
         """Compare with the priors, and draw both into a file; sentences and tables on what is found."""
         yield from ()
 
-    def tables(self, problem) -> list[dict]:
-        """Tables of the report on the data, as of `table`."""
+    def tables(self, problem, result) -> list[dict]:
+        """Tables of the report, as of `table`: the data, and what likelihoods make of them."""
         return []
 
     def figures(self, problem, result) -> list[Figure]:
@@ -162,21 +175,52 @@ class KindOfData:
         """Figures of one likelihood."""
         return []
 
-    def drawn(self, problem) -> dict[str, xr.Dataset]:
-        """Groups of a result that its page draws besides."""
-        return {}
 
-    def drawn_of(self, problem, part) -> dict[str, xr.Dataset]:
-        """Groups of one likelihood that its page draws besides."""
-        return {}
+def table(name, section, title="", columns=(), rows=(), note="") -> dict:
+    """A table of the report; its cells become texts. Without columns it is its note alone."""
+    rows = [[str(cell) for cell in row] for row in rows]
+    named = {"name": name, "section": section, "title": title}
+    return named | {"columns": list(columns), "rows": rows, "note": note}
 
 
-def check_positive_priors(section: str, asked, names, priors) -> None:
-    """Scales have priors of positive numbers."""
-    for name in names:
-        for item in priors_in(getattr(asked, name)):
-            if (middle := priors[item.prior].median) <= 0.0:
-                raise ConfigError(
-                    f"`{section}.{name}` must be positive, got the prior `priors.{item.prior}` with the "
-                    f"median {middle:g}. Take a distribution of positive numbers."
-                )
+def channels_table(config, source, dofs, channels, step: float, more="", base=None) -> dict:
+    """Where channels (sensor, time) come from, what [processing] did, and how large they are; `more` follows.
+
+    `base` is the motion of the base, where it is known.
+    """
+    asked, steps = config.processing, [f"source is {source}"]
+    if asked.detrend is not None:
+        window = asked.detrend.window
+        over = f" of {window[0]:g} to {window[1]:g} s" if window else ""
+        steps.append(f"less the {asked.detrend.kind} trend{over}")
+    if asked.band_pass is not None:
+        sides = ("above", asked.band_pass.low), ("below", asked.band_pass.high)
+        corners = [f"{side} {corner:g} Hz" for side, corner in sides if corner is not None]
+        steps.append(f"filtered to {' and '.join(corners)}")
+    if asked.trim is not None:
+        steps.append(f"window {asked.trim[0]:g} to {asked.trim[1]:g} s")
+    note = f"The {', '.join(steps)}. There are {channels.sizes['time']} samples at {step:.6g} s{more}"
+    histories = dict(zip(channels["sensor"].values, channels.values, strict=True))
+    places = [*dofs]
+    if base is not None:
+        histories, places = {"base": base} | histories, ["", *dofs]
+    rows = [
+        (name, dof, f"{np.nanmax(np.abs(values)):.4g}", f"{np.sqrt(np.nanmean(values**2)):.4g}")
+        for (name, values), dof in zip(histories.items(), places, strict=True)
+    ]
+    return table("channels", "data", "Channels", SENSORS, rows, note.strip())
+
+
+def check_positive(key: str, value, priors, n=None, each="", advice="", can_be_zero=False) -> None:
+    """Refuse what is not positive, or has a prior that is not: one value for all, or one for each of n."""
+    if n is not None and isinstance(value, list) and len(value) != n:
+        raise ConfigError(f"`{key}` must be one value or one for each of the {n} {each}, got {len(value)}.")
+    for one in value if isinstance(value, list) else [value]:
+        if isinstance(one, float) and (one < 0.0 or (one == 0.0 and not can_be_zero)):
+            wanted = "at least zero" if can_be_zero else "positive"
+            raise ConfigError(f"`{key}` must be {wanted}, got {one:g}. {advice}".strip())
+        if isinstance(one, Parameter) and (middle := priors[one.prior].median) <= 0.0:
+            raise ConfigError(
+                f"`{key}` must be positive, got the prior `priors.{one.prior}` with the median {middle:g}. "
+                "Take a distribution of positive numbers."
+            )

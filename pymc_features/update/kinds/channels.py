@@ -1,5 +1,7 @@
-"""From files to the motion of the base and the measured responses, processed alike."""
+"""From files to the motion of the base and the measured responses, processed alike and checked."""
 
+import json
+import re
 import warnings
 from dataclasses import dataclass, replace
 from math import ceil
@@ -9,44 +11,49 @@ import numpy as np
 import xarray as xr
 
 from pymc_features import datasets, signals
-from pymc_features.exceptions import ConfigError
+from pymc_features.exceptions import ChannelWarning, ConfigError, PriorWarning
 from pymc_features.io import read_channels, read_channels_with_gaps, read_record
 from pymc_features.io.reading.labels import SI
 from pymc_features.records import EVEN, CyclicTest, Record
 from pymc_features.signals.channels import check_window
 from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.sections import MEASURED
-from pymc_features.update.kinds.checks import Checked, check, warn_of_motion
+from pymc_features.update.plausibility.findings import Compared, of_data
 from pymc_features.update.plausibility.prior_modes import PriorModes
+from pymc_features.update.plausibility.resonances import spectra_of
+from pymc_features.update.plausibility.transfer import lags_confirmed, told_by_modes
+
+LOWEST, HIGHEST = 1.0 / 7.0, 0.5  # of the first natural frequency: where the floors follow the base
+TOP = 0.55  # the same, of a band that was asked for
+NARROWEST = 1.5  # factor between the ends of a band
+LAGS = "Check clocks"  # in what is said of them
+EXPLAINS_ANY = 0.99  # damping ratio that explains any lag
+FOLLOWS = 0.7  # coherence of one floor at least, where nobody has named the band
+COHERENT = 0.5  # of a floor with the base, where the base moves
+MOVING, QUIET = 0.2, 3.0  # of the rms of the whole, and of the quietest period: a sensor that is in motion
+OFFSET = 1.0  # s: clocks that are not the same, and no lag
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What the model is updated with.
+    """What the model is updated with."""
 
-    Attributes
-    ----------
-    record : Record or CyclicTest
-        Motion of the base, or displacement of a specimen.
-    channels : DataArray (sensor, time)
-        Measured absolute accelerations [m/s^2], or forces [N], that are compared, at `step`, NaN in gaps;
-        time 0 is that of the record.
-    step : float
-        Sampling interval of the channels [s], a multiple of the record's.
-    source : str
-        Where they come from.
-    checked : Checked
-        What is known of the channels against each other.
-    first : int
-        Sample of the response that the first of the channels is compared with.
-    """
-
-    record: Record | CyclicTest
+    record: Record | CyclicTest  # motion of the base, or displacement of a specimen
+    # (sensor, time) measured absolute accelerations [m/s^2], or forces [N], that are compared, at `step`, NaN
+    # in gaps; time 0 is that of the record
     channels: xr.DataArray
-    step: float
-    source: str
-    checked: Checked
-    first: int = 0
+    step: float  # sampling interval of the channels [s], a multiple of the record's
+    source: str  # where they come from
+    first: int = 0  # sample of the response that the first of the channels is compared with
+    compared: Compared | None = None  # the data beside the priors; None where there is nothing to compare
+    # of `check_channels`; None where it was not asked for or could not tell anything
+    gains: xr.Dataset | None = None
+    checked: str = ""  # what was checked of the channels against each other, or why it was not
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether floors follow the base somewhere, or a resonance was seen."""
+        return self.gains is not None or (self.compared is not None and bool(self.compared.peaks))
 
     @property
     def units(self) -> str:
@@ -54,7 +61,12 @@ class Measured:
         return self.channels.attrs.get("units", "m/s^2")
 
     @property
-    def compared(self) -> slice:
+    def with_units(self) -> xr.DataArray:
+        """The channels, of which nothing is said but their unit."""
+        return self.channels.drop_attrs().assign_attrs(units=self.units)
+
+    @property
+    def window(self) -> slice:
         """Samples of the response, at `step`, that are compared."""
         return slice(self.first, self.first + self.channels.sizes["time"])
 
@@ -76,17 +88,17 @@ class Measured:
         from scipy import signal  # a second to import
 
         stride = round(self.step / self.record.dt)
-        return signal.resample_poly(self.record.acceleration, 1, stride)[self.compared]
+        return signal.resample_poly(self.record.acceleration, 1, stride)[self.window]
 
-
-def base_and_sensors(measured: Measured) -> xr.DataArray:
-    """All channels (sensor, time) [m/s^2] after processing, the base first."""
-    values = np.vstack([measured.base, measured.channels.values])
-    names = ["base", *(str(name) for name in measured.channels["sensor"].values)]
-    coords = {"sensor": names, "time": measured.channels["time"].values}
-    if measured.units != "m/s^2":
-        coords["units"] = "sensor", ["m/s^2", *[measured.units] * (len(names) - 1)]
-    return xr.DataArray(values, coords, ("sensor", "time"))
+    @property
+    def with_base(self) -> xr.DataArray:
+        """All channels (sensor, time) [m/s^2] after processing, the base first."""
+        values = np.vstack([self.base, self.channels.values])
+        names = ["base", *self.channels["sensor"].values.astype(str)]
+        coords = {"sensor": names, "time": self.channels["time"].values}
+        if self.units != "m/s^2":
+            coords["units"] = "sensor", ["m/s^2", *[self.units] * (len(names) - 1)]
+        return xr.DataArray(values, coords, ("sensor", "time"))
 
 
 def read_measured(config, folder: Path, prior: PriorModes) -> Measured:
@@ -95,153 +107,145 @@ def read_measured(config, folder: Path, prior: PriorModes) -> Measured:
     Raises
     ------
     ConfigError
-        If a file is missing or broken, a sensor is not in it, or a step of the processing fails; the message
-        names the key.
+        If a file is missing or broken, a sensor is not in it, a step of the processing fails, or clocks are
+        apart; the message names the key.
+
+    Warns
+    -----
+    PriorWarning
+        What the priors and the data contradict each other in.
+    ChannelWarning
+        What `check_channels` finds, and the lines of the file that correct it.
     """
+    data, asked = config.data, config.processing
     channels, source = read_corrected(config, folder)
-    if config.record is None:
-        motion = None
-    else:
-        with named_key("record"):
-            motion, first = read_motion(config, folder, signals.sampling_step(channels))
-            channels = channels.isel(time=slice(first, None))
-            common = min(motion.sizes["time"], channels.sizes["time"])
-            channels = xr.concat(
-                [motion.isel(time=slice(common)), channels.isel(time=slice(common)).drop_attrs()],
-                dim="sensor",
-                join="override",
-            ).assign_attrs(channels.attrs)
-    refuse_gaps_of_the_base(channels.isel(sensor=0), config.data.base)
-    channels, checked = processed(channels, config, prior)
+    title, section = f"{data.base or 'ground motion'}, {source}", data
+    if config.record is not None:
+        channels = with_motion(channels, config.record, folder)
+        title, section = f"{data.base or 'ground motion'}, {Path(config.record.path).name}", config.record
+    gaps = channels.values[0] != channels.values[0]
+    if gaps.any():
+        start = float(channels["time"][int(gaps.argmax())])
+        raise ConfigError(
+            f"`data.base` must have no gaps, for it shakes the model, got {gaps.sum()} samples missing in "
+            f"{data.base}, the first at {start:g} s. Cut the files to one side by `data.rows`, or give the "
+            "motion in [record]."
+        )
+    channels = detrended(channels, asked)
+    with named_key("processing.check_band"):
+        compared, gains, checked = check(channels, config, prior)
+    if asked.band_pass is not None:
+        corners = asked.band_pass.low, asked.band_pass.high
+        with named_key("processing.band_pass"):
+            channels = signals.band_pass(channels, *corners, order=asked.band_pass.order)
+    if asked.trim is not None:
+        with named_key("processing.trim"):
+            warn_of_motion(channels, asked.trim[0], compared.first or prior.first)
+            channels = signals.trim(channels, *asked.trim)
     channels = channels.drop_vars("units", errors="ignore")  # of which there may be two
     base = channels.isel(sensor=0).assign_attrs(units="m/s^2")
-    floors = channels.isel(sensor=slice(1, None)).assign_attrs(units=SI[MEASURED[config.data.quantity]])
-    name = source if config.record is None else Path(config.record.path).name
-    title = f"{config.data.base or 'ground motion'}, {name}"
-    section = config.data if config.record is None else config.record
     record = Record.from_channel(base, name=title, interpolation=section.interpolation)
-    factor = config.processing.decimate
     with named_key("processing.decimate"):
-        floors = signals.decimate(floors, factor)
-    floors, first = window_of(floors, config.processing.compare)
-    silent = np.flatnonzero(floors.isnull().all("time").values)
-    if silent.size:
-        raise ConfigError(
-            f"`data.sensors` must have samples to compare, got a gap from end to end of "
-            f"{floors['sensor'].values[silent[0]]} (filters and decimation widen gaps). Leave it out."
-        )
-    return Measured(record, floors, factor * record.dt, source, checked, first)
+        floors = signals.decimate(channels.isel(sensor=slice(1, None)), asked.decimate)
+    floors, first = part_compared(floors.assign_attrs(units=SI[MEASURED[data.quantity]]), asked)
+    for name, is_gap in zip(floors["sensor"].values, floors.isnull().all("time").values, strict=True):
+        if is_gap:
+            raise ConfigError(
+                f"`data.sensors` must have samples to compare, got a gap from end to end of {name} (filters "
+                "and decimation widen gaps). Leave it out."
+            )
+    return Measured(record, floors, asked.decimate * record.dt, source, first, compared, gains, checked)
 
 
 def read_corrected(config, folder: Path) -> tuple[xr.DataArray, str]:
     """The channels that [data] names, the base first, corrected as it says; and the names of their files."""
+    data = config.data
     with named_key("data", path="files"):
-        channels, source = read_all(config, folder)
-    known = [str(name) for name in channels["sensor"].values]
-    wanted = ([] if config.data.base is None else [config.data.base]) + list(config.data.sensors)
+        channels, source = read_all(data, folder)
+    known = channels["sensor"].values.astype(str).tolist()
+    wanted = [*filter(None, [data.base]), *data.sensors]
     for name in wanted:
         if name not in known:
-            key = "base" if name == config.data.base else "sensors"
+            key = "base" if name == data.base else "sensors"
             raise ConfigError(
                 f"`data.{key}` must be among the sensors {', '.join(known)}, got {shown(name)}."
             )
     with named_key("data"):
-        channels = signals.correct(channels, scale=config.data.scale, delay=config.data.delay)
-        channels = some_rows(channels, config.data.rows)
+        channels = signals.correct(channels, scale=data.scale, delay=data.delay)
+    if data.rows is not None:
+        if data.rows[1] > channels.sizes["time"]:
+            raise ConfigError(
+                f"`data.rows` must lie within the {channels.sizes['time']} rows of the files, got "
+                f"{list(data.rows)}."
+            )
+        first, last = (float(channels["time"][row]) for row in (data.rows[0], data.rows[1] - 1))
+        channels = signals.trim(channels, first, last)
     return channels.isel(sensor=[known.index(name) for name in wanted]), source
 
 
-def refuse_gaps_of_the_base(base, name) -> None:
-    """The motion that shakes the model must be whole."""
-    gaps = base.isnull().values
-    if gaps.any():
-        start = float(base["time"][int(gaps.argmax())])
-        raise ConfigError(
-            f"`data.base` must have no gaps, for it shakes the model, got {gaps.sum()} samples missing in "
-            f"{name}, the first at {start:g} s. Cut the files to one side by `data.rows`, or give the motion "
-            "in [record]."
-        )
+def read_whole(config, folder: Path) -> tuple[xr.DataArray, float, str]:
+    """Channels without a motion of the base, after every step of [processing]; their step [s] and files."""
+    asked = config.processing
+    channels, source = read_corrected(config, folder)
+    channels = detrended(channels, asked)
+    if asked.trim is not None:
+        with named_key("processing.trim"):
+            channels = signals.trim(channels, *asked.trim)
+    with named_key("processing.decimate"):
+        channels = signals.decimate(channels, asked.decimate)
+    with named_key("data"):
+        return channels, signals.sampling_step(channels), source
 
 
-def window_of(floors, compare) -> tuple[xr.DataArray, int]:
-    """The part of the channels that is compared, with its times, and its first sample."""
-    if compare is None:
-        return floors, 0
-    with named_key("processing.compare"):
-        low, high = check_window(floors, compare, "compare")
-    return floors.isel(time=slice(low, high)), low
-
-
-def some_rows(channels, rows) -> xr.DataArray:
-    """Channels between two rows of their files, times from 0."""
-    if rows is None:
-        return channels
-    if rows[1] > channels.sizes["time"]:
-        raise ConfigError(
-            f"`data.rows` must lie within the {channels.sizes['time']} rows of the files, got {list(rows)}."
-        )
-    step = signals.sampling_step(channels)
-    return signals.trim(channels, *(float(channels["time"][0]) + step * np.array([rows[0], rows[1] - 1])))
-
-
-def read_all(config, folder) -> tuple[xr.DataArray, str]:
-    """All channels of the files or the data set, and what they are called."""
-    data = config.data
+def read_all(data, folder) -> tuple[xr.DataArray, str]:
+    """Every channel of the files of [data], and the names of the files."""
     if data.dataset is not None:
         return datasets.mini_shake_table(data.event), f"{data.dataset} ({data.event})"
-    files = data.files
+    files = paths = data.files
     if isinstance(files, dict):
-        paths = {name: of_sensor(file, folder, data, name) for name, file in files.items()}
-        names = [entry["file"].name for entry in paths.values()]
-    elif isinstance(files, list):
-        paths, names = [folder / file for file in files], files
+        paths = {}
+        for name, given in files.items():
+            own = {"file": given} if isinstance(given, str) else given.model_dump(exclude_none=True)
+            quantity = "acceleration" if name == data.base else MEASURED[data.quantity]
+            paths[name] = own | {"file": folder / own["file"], "quantity": quantity}
+        names = [own["file"] for own in paths.values()]
     else:
-        paths, names = folder / files, [files]
-    keys = ("columns", "units", "dt", "clock", "clock_units", "skip", "wrapped", "resample")
-    settings = {key: getattr(data, key) for key in keys}
+        names = files if isinstance(files, list) else [files]
+        paths = [folder / file for file in files] if isinstance(files, list) else folder / files
+    keys = {"columns", "units", "dt", "clock", "clock_units", "skip", "wrapped", "resample"}
+    settings = data.model_dump(include=keys, exclude_none=True)
     source = ", ".join(Path(name).name for name in names)
     if data.gaps == "leave_out":
         return read_channels_with_gaps(paths, **settings), source
     try:
         return read_channels(paths, **settings), source
     except ValueError as error:
-        if not has_gaps_alone(paths, settings):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                has_gaps_alone = read_channels_with_gaps(paths, **settings).isnull().any()
+        except (ValueError, TypeError, OSError):
+            raise error from None
+        if not has_gaps_alone:
             raise
         raise ValueError(f'{error} Or leave out what is missing by gaps = "leave_out".') from error
 
 
-def of_sensor(given, folder, data, name) -> dict:
-    """What `read_channels` is told of one sensor."""
-    settings = {"file": given} if isinstance(given, str) else given.settings
-    quantity = "acceleration" if name == data.base else MEASURED[data.quantity]
-    return settings | {"file": folder / settings["file"], "quantity": quantity}
-
-
-def has_gaps_alone(paths, settings) -> bool:
-    """Whether files can be read if samples may be missing."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return bool(read_channels_with_gaps(paths, **settings).isnull().any())
-    except (ValueError, TypeError, OSError):
-        return False
-
-
-def read_motion(config, folder, step) -> tuple[xr.DataArray, int]:
-    """The ground motion of a file as a channel at the step of the others [s], and its first sample."""
-    section = config.record
-    keys = ("units", "dt", "column", "wrapped")
-    record = read_record(folder / section.path, **{key: getattr(section, key) for key in keys})
-    record = replace(record, interpolation=section.interpolation)
-    if section.delay or not np.isclose(record.dt, step, rtol=1e-4, atol=0.0):
-        record = record.resampled(step, delay=section.delay)
-    motion = xr.DataArray(
-        record.acceleration[None],
-        dims=("sensor", "time"),
-        coords={"sensor": ["ground motion"], "time": ("time", step * np.arange(record.n_times))},
-        name="acceleration",
-    )
-    return motion, ceil(max(section.delay, 0.0) / step - EVEN)
+def with_motion(channels, section, folder) -> xr.DataArray:
+    """Channels below the motion of the base from a file of its own, from where both are known."""
+    with named_key("record"):
+        step = signals.sampling_step(channels)
+        settings = section.model_dump(include={"units", "dt", "column", "wrapped"})
+        record = read_record(folder / section.path, **settings)
+        record = replace(record, interpolation=section.interpolation)
+        if section.delay or not np.isclose(record.dt, step, rtol=1e-4, atol=0.0):
+            record = record.resampled(step, delay=section.delay)
+    channels = channels.isel(time=slice(ceil(max(section.delay, 0.0) / step - EVEN), None))
+    n = min(record.n_times, channels.sizes["time"])
+    coords = {"sensor": ["ground motion"], "time": step * np.arange(n)}
+    motion = xr.DataArray(record.acceleration[None, :n], coords, ("sensor", "time"), "acceleration")
+    both = [motion, channels.isel(time=slice(n)).drop_attrs()]
+    return xr.concat(both, dim="sensor", join="override").assign_attrs(channels.attrs)
 
 
 def detrended(channels, asked) -> xr.DataArray:
@@ -252,21 +256,13 @@ def detrended(channels, asked) -> xr.DataArray:
         return signals.detrend(channels, asked.detrend.kind, window=asked.detrend.window)
 
 
-def processed(channels, config, prior) -> tuple[xr.DataArray, Checked]:
-    """Channels after every step of [processing] but the decimation, and what the check found before."""
-    asked = config.processing
-    channels = detrended(channels, asked)
-    with named_key("processing.check_band"):
-        checked = check(channels, config, prior)
-    if asked.band_pass is not None:
-        filter_ = asked.band_pass
-        with named_key("processing.band_pass"):
-            channels = signals.band_pass(channels, filter_.low, filter_.high, order=filter_.order)
-    if asked.trim is not None:
-        with named_key("processing.trim"):
-            warn_of_motion(channels, asked.trim[0], checked.compared.first or prior.first)
-            channels = signals.trim(channels, *asked.trim)
-    return channels, checked
+def part_compared(floors, asked) -> tuple[xr.DataArray, int]:
+    """The part of the channels that is compared, with its times, and its first sample."""
+    if asked.compare is None:
+        return floors, 0
+    with named_key("processing.compare"):
+        low, high = check_window(floors, asked.compare, "compare")
+    return floors.isel(time=slice(low, high)), low
 
 
 def checked_dofs(config, size) -> list[int]:
@@ -289,3 +285,142 @@ def checked_dofs(config, size) -> list[int]:
             "to the base."
         )
     return dofs
+
+
+def check(channels, config, prior) -> tuple[Compared, xr.Dataset | None, str]:
+    """Compare the channels, base first, with the priors, and check them where floors follow the base.
+
+    That is in the band of the file, but below the first natural frequency that the data show, or the priors
+    where they do not. Returns what was found as `Measured` has it.
+    """
+    data, asked, kept = config.data, config.processing, config.processing.band_pass
+    step = signals.sampling_step(channels)
+    dofs = data.dofs or list(range(len(data.sensors)))
+    start, end = asked.compare or asked.trim or (0.0, channels.sizes["time"] * step)
+    pass_band = (0.0, np.inf) if kept is None else (kept.low or 0.0, kept.high or np.inf)
+    compared = of_data(channels, step, prior, dofs, data.quantity, duration=end - start, pass_band=pass_band)
+    for sentence in compared.sentences:
+        warnings.warn(sentence, PriorWarning, stacklevel=2)
+    if asked.check_band is False:
+        return compared, None, "not checked against each other, as the file says"
+    band = band_of(asked.check_band, compared, prior)
+    if data.quantity != "absolute_acceleration":
+        reason = f"{data.quantity} is no motion of the base"
+    else:
+        reason = "" if band == asked.check_band else why_not(channels, band)
+    if reason:
+        one = np.ones(channels.sizes["sensor"])
+        columns = {"scale": ("sensor", one), "delay": ("sensor", 0.0 * one)}
+        gains = xr.Dataset(columns, {"sensor": channels["sensor"].values})
+    else:
+        gains = gains_of(channels, band, compared, dofs, data.quantity)
+    if of_modes := told_by_modes(gains, compared.placed):
+        warnings.warn(of_modes, ChannelWarning, stacklevel=2)
+    if lines := corrections(gains, data):
+        warnings.warn(f"If it is so, put into [data]: {'; '.join(lines)}", ChannelWarning, stacklevel=2)
+    if reason:
+        return compared, None, f"not checked against each other: {reason}"
+    return compared, gains, f"checked against each other between {band[0]:.3g} and {band[1]:.3g} Hz"
+
+
+def band_of(asked, compared, prior) -> tuple[float, float]:
+    """Choose where floors follow the base: the band of the file, below the first mode of data or priors."""
+    first = prior.first
+    if compared.first and (compared.is_contradicted or HIGHEST * first > TOP * compared.first):
+        first = compared.first
+    if asked is None:
+        return LOWEST * first, HIGHEST * first
+    if compared.first and asked[1] > TOP * compared.first:
+        return asked[0], TOP * compared.first
+    return asked
+
+
+def why_not(channels, band) -> str:
+    """Why a band tells nothing; empty if it does."""
+    if not band[1] > NARROWEST * band[0]:
+        return f"the first mode of the data leaves too little of the band from {band[0]:.3g} Hz on"
+    try:
+        coherence = signals.low_frequency_gains(channels, band)["coherence"].values[1:]
+    except ValueError as error:
+        return str(error)
+    if not (coherence >= FOLLOWS).any():
+        return f"no sensor follows the base between {band[0]:.3g} and {band[1]:.3g} Hz"
+    return ""
+
+
+def gains_of(channels, band, compared, dofs, quantity) -> xr.Dataset:
+    """What `check_channels` finds, without lags that the modes contradict; another clock is refused."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        gains = signals.check_channels(channels, band=band)
+        delays = gains["delay"].values[1:]
+        if compared.placed is not None and delays.any() and np.abs(delays).max() < OFFSET:
+            spectra, settings = spectra_of(channels, compared.step), {"factor": compared.scale.factor}
+            if not lags_confirmed(spectra, compared.prior, dofs, quantity, delays=delays, **settings):
+                caught.clear()
+                gains = signals.check_channels(channels, band=band, damping_ratio=EXPLAINS_ANY)
+    for warning in sorted(caught, key=lambda warning: LAGS in str(warning.message)):  # the least of faults
+        warnings.warn(warning.message, warning.category, stacklevel=2)
+    for name, lag, coherence in zip(
+        *(gains[key].values for key in ("sensor", "lag", "coherence")), strict=True
+    ):
+        if coherence >= COHERENT and abs(lag) >= OFFSET:
+            raise ConfigError(
+                f"`data.files` must have one clock, got {name} {abs(lag):.4g} s "
+                f"{'after' if lag > 0 else 'before'} the base. Cut the files to the same time, or set "
+                f"`data.delay = {inline({str(name): lag})}`."
+            )
+    return gains
+
+
+def corrections(gains, data) -> list[str]:
+    """Lines of [data] that put right what was found, with what is corrected already."""
+    lines, names = [], gains["sensor"].values.astype(str).tolist()
+    found = gains["scale"].values
+    if (found != 1.0).any():
+        given = data.scale if isinstance(data.scale, dict) else dict.fromkeys(names, data.scale or 1.0)
+        if (found[1:] == -1.0).all():
+            found = np.where(np.arange(len(names)) == 0, -1.0, 1.0)
+        scale = {name: given.get(name, 1.0) * float(f) for name, f in zip(names, found, strict=True)}
+        lines.append(f"scale = {inline({name: f for name, f in scale.items() if f != 1.0})}")
+    if gains["delay"].values.any():
+        late = dict(data.delay or {})
+        for name, more in zip(names, gains["delay"].values, strict=True):
+            late[name] = late.get(name, 0.0) + float(more)
+        lines.append(f"delay = {inline({name: t for name, t in late.items() if t})}")
+    if order := gains.attrs.get("order"):
+        lines.append(f"sensors = {json.dumps([name for name in order if name in data.sensors])}")
+    return lines
+
+
+def inline(values) -> str:
+    """An inline table of the file, keys quoted where they must be."""
+    keys = [key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key) for key in values]
+    pairs = zip(keys, values.values(), strict=True)
+    entries = [f"{key} = {float(f'{value:.6g}')}" for key, value in pairs]
+    return f"{{ {', '.join(entries)} }}" if entries else "{}"  # which cancels what is there
+
+
+def warn_of_motion(channels, start, first_frequency) -> None:
+    """Warn of a window that begins while the sensors move: models start at rest."""
+    step = signals.sampling_step(channels)
+    period = max(2, round(1.0 / (first_frequency * step)))
+    first = round((start - float(channels["time"][0])) / step)
+    if first <= 0 or channels.sizes["time"] < 4 * period:
+        return
+    floors = channels.values[1:] - np.nanmean(channels.values[1:], axis=1, keepdims=True)
+    floors = np.nan_to_num(floors)  # in gaps nothing is seen to move
+    power = np.cumsum(np.pad(floors**2, ((0, 0), (1, 0))), axis=1)
+    moving = np.sqrt((power[:, period:] - power[:, :-period]).clip(min=0.0) / period)  # from each sample on
+    before = moving[:, max(0, first - period)]
+    everywhere = np.sqrt((floors**2).mean(axis=1))
+    in_motion = (before > MOVING * everywhere) & (before > QUIET * moving.min(axis=1))
+    if in_motion.any():
+        names = channels["sensor"].values[1:][in_motion].astype(str)
+        warnings.warn(
+            f"`processing.trim` cuts into the motion of {', '.join(names)} at {start:g} s, but the model "
+            "starts at rest there. Begin where the structure is at rest, and choose by `processing.compare` "
+            "what is compared.",
+            ChannelWarning,
+            stacklevel=2,
+        )

@@ -14,14 +14,13 @@ from pymc_features.exceptions import ConfigError, PredictionWarning
 from pymc_features.io import read_cyclic_test
 from pymc_features.io.reading.labels import FORCES, LENGTHS
 from pymc_features.prediction import posterior_response
-from pymc_features.update.config.messages import named_key, shown
+from pymc_features.update.config.messages import named_key, refuse, shown
 from pymc_features.update.config.sections import Section, key
-from pymc_features.update.config.structure_sections import SPECIMENS
-from pymc_features.update.kinds.base import Setting
+from pymc_features.update.config.structures import SPECIMENS
+from pymc_features.update.kinds.base import Figure, Setting, Verdict, drawn_to, table
 from pymc_features.update.kinds.channels import Measured
-from pymc_features.update.kinds.checks import Checked
-from pymc_features.update.kinds.histories import DRAWS, Histories
-from pymc_features.update.presentation.shown import Figure, Verdict, table, write_figure
+from pymc_features.update.kinds.histories import DRAWS, Histories, check_likelihood
+from pymc_features.update.kinds.model import draws_of_priors
 
 LENGTH_OR_FORCE = f"two units, of displacement ({', '.join(LENGTHS)}) and of force ({', '.join(FORCES)})"
 UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation
@@ -70,37 +69,26 @@ class Cyclic(Histories):
                 f"`structure.type` must be {' or '.join(SPECIMENS)} with [cyclic], got "
                 f"{config.structure.type}. Its displacement is prescribed."
             )
-        for name in ("data", "record", "processing", "events", "modal", "ambient"):
-            if name in config.model_fields_set:
-                raise ConfigError(
-                    f"`{name}` must be left out with [cyclic], got it. Displacement and force are all "
-                    "there is."
-                )
-        for name in ("natural_frequencies", "quantities"):
-            if name in config.report.model_fields_set:
-                raise ConfigError(
-                    f"`report.{name}` must be left out with [cyclic], got it. There is no motion."
-                )
+        all_there_is = "with [cyclic], got it. Displacement and force are all there is."
+        refuse(config, "data record processing events modal ambient", all_there_is)
+        no_motion = "with [cyclic], got it. There is no motion."
+        refuse(config, "report.natural_frequencies report.quantities", no_motion)
         if config.likelihood is None:
             raise ConfigError("`likelihood` must be given with [cyclic]: a table.")
 
     @classmethod
-    def measure(cls, given: Setting) -> Measured:
+    def read(cls, given: Setting):
         """Read displacement and force; files are relative to the folder."""
-        config, folder = given.config, given.folder
-        asked = config.cyclic
+        asked = given.config.cyclic
         names = [asked.files] if isinstance(asked.files, str) else asked.files
-        paths = [folder / name for name in names]
+        paths = [given.folder / name for name in names]
         with named_key("cyclic"):
             test, force = read_cyclic_test(
-                paths[0] if isinstance(asked.files, str) else paths,
-                columns=asked.columns,
-                units=asked.units,
-                skip=asked.skip,
-                wrapped=asked.wrapped,
+                paths[0] if isinstance(asked.files, str) else paths, **asked.model_dump(exclude={"files"})
             )
+        check_likelihood(given, 1)
         source = ", ".join(Path(name).name for name in names)
-        return Measured(test, force, test.dt, source, Checked(None, "not checked: there is one"))
+        return cls(given.config, Measured(test, force, test.dt, source), [0])
 
     @property
     def used(self):
@@ -112,13 +100,11 @@ class Cyclic(Histories):
         found = super().bands(problem, likelihood, model, idata)
         return found.assign_coords(displacement=("time", self.measured.record.displacement))
 
-    def shared(self, problem, parts):
+    def shared(self, problem):
         """Displacement and force."""
-        measured = self.measured
-        displacement = ("time", measured.record.displacement, {"units": "m"})
-        channels = measured.channels.drop_attrs().assign_attrs(units="N")
-        attrs = {"source": measured.source}
-        return {"data": xr.Dataset({"measured": channels}, {"displacement": displacement}, attrs)}
+        displacement = {"displacement": ("time", self.measured.record.displacement, {"units": "m"})}
+        channels = self.channels.drop_attrs().assign_attrs(units="N")
+        return {"data": xr.Dataset({"measured": channels}, displacement, {"source": self.measured.source})}
 
     def told(self):
         """The files, and the test."""
@@ -126,32 +112,30 @@ class Cyclic(Histories):
 
     def check(self, problem, path):
         """Draw measured loops and what the priors expect of them; how much of it they hold."""
-        priors, names = problem.priors, problem.structure.names
-        columns = {n: (("chain", "draw"), priors[n].draw(DRAWS, k)[None]) for k, n in enumerate(names)}
+        force, record, draws = self.channels, self.measured.record, {"draws": DRAWS}
+        expected = draws_of_priors(problem, problem.structure.names, DRAWS)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PredictionWarning)  # priors may reach beyond what a specimen is
-            found = posterior_response(
-                xr.Dataset(columns), problem.structure, self.measured.record, self.quantity, draws=DRAWS
-            )
-        force = self.measured.channels
-        write_figure(plots.plot_loops(found, measured=force), path)
+            found = posterior_response(expected, problem.structure, record, self.quantity, **draws)
+        wrote = drawn_to(path, lambda: plots.plot_loops(found, measured=force))
         low, *_, high = found[self.quantity].transpose("quantile", "sensor", "time").values
         share = float(np.mean((force.values >= low) & (force.values <= high)))
         yield f"{100.0 * share:.0f} % of the measured forces lie within what the priors expect (5 to 95 %)"
-        yield f"wrote {path}"
+        yield wrote
 
-    def tables(self, problem):
-        """Say where displacement and force come from, and how large they are."""
-        displacement, force = self.measured.record.displacement, self.measured.channels.values[0]
+    def tables(self, problem, result):
+        """Add where displacement and force come from, and how large they are."""
+        displacement, force = self.measured.record.displacement, self.channels.values[0]
         rows = [
             (name, f"{values.min():.4g}", f"{values.max():.4g}")
             for name, values in (("displacement [m]", displacement), ("force [N]", force))
         ]
         note = (
             f"The source, {self.measured.source}, has {force.size} samples. The loops dissipate "
-            f"{energy(displacement, force):.4g} J."
+            f"{np.trapezoid(force, displacement):.4g} J."
         )
-        return [table("cyclic", "data", "Cyclic test", ("", "smallest", "largest"), rows, note)]
+        own = table("cyclic", "data", "Cyclic test", ("", "smallest", "largest"), rows, note)
+        return [*super().tables(problem, result), own]
 
     def figures_of(self, problem, part, kind):
         """Force against displacement."""
@@ -169,41 +153,27 @@ class Cyclic(Histories):
 
     def verdict(self, problem, result, kind):
         """Whether the median force meets the measured one."""
-        return verdict_of_loops(self.measured.record.displacement, result[kind])
-
-
-def energy(displacement, force) -> float:
-    """Work of a force along its displacement [J], by the trapezoidal rule."""
-    return float(np.trapezoid(force, displacement))
-
-
-def verdict_of_loops(displacement, part) -> Verdict:
-    """Judge how the median force of a likelihood meets the measured one."""
-    force = part["observed_data"]["y"].values[0]
-    model = part["bands"]["response"].sel(quantile=0.5).values[0]
-    error = force - model
-    relative = float(np.sqrt((error**2).sum() / (force**2).sum()))
-    share = (
-        f"it accounts for {100.0 * max(0.0, 1.0 - relative**2):.0f} % of the force (share of the mean square)"
-    )
-    explains = relative <= UNEXPLAINED
-    sentences = [
-        f"The specimen explains the loops: {share}."
-        if explains
-        else f"This specimen does not explain the loops: {share}."
-    ]
-    done, by_model = energy(displacement, force), energy(displacement, model)
-    if abs(by_model / done - 1.0) > ENERGY:
-        sentences.append(
-            f"The measured loops dissipate {done:.3g} J, those of the model {by_model:.3g} J: their shape is "
-            "not that of the law."
-        )
-    persistence = float((error[1:] * error[:-1]).sum() / (error**2).sum()) if error.any() else 0.0
-    if relative > ROUGH and persistence > PERSISTS:
-        largest = float(displacement[np.abs(error).argmax()])
-        sentences.append(
-            "The error is no noise but an error of the model, largest at a displacement of "
-            f"{largest:.3g} m. Let more of the specimen be uncertain (degradation, pinching); what is left "
-            "then is beyond its law."
-        )
-    return Verdict(sentences, explains)
+        displacement = self.measured.record.displacement
+        force = result[kind]["observed_data"]["y"].values[0]
+        model = result[kind]["bands"]["response"].sel(quantile=0.5).values[0]
+        error = force - model
+        relative = float(np.sqrt((error**2).sum() / (force**2).sum()))
+        explains = relative <= UNEXPLAINED
+        said = "The specimen explains" if explains else "This specimen does not explain"
+        share = 100.0 * max(0.0, 1.0 - relative**2)
+        told = [f"{said} the loops: it accounts for {share:.0f} % of the force (share of the mean square)."]
+        done, by_model = np.trapezoid(force, displacement), np.trapezoid(model, displacement)
+        if abs(by_model / done - 1.0) > ENERGY:
+            told.append(
+                f"The measured loops dissipate {done:.3g} J, those of the model {by_model:.3g} J: their "
+                "shape is not that of the law."
+            )
+        persistence = float((error[1:] * error[:-1]).sum() / (error**2).sum()) if error.any() else 0.0
+        if relative > ROUGH and persistence > PERSISTS:
+            largest = float(displacement[np.abs(error).argmax()])
+            told.append(
+                "The error is no noise but an error of the model, largest at a displacement of "
+                f"{largest:.3g} m. Let more of the specimen be uncertain (degradation, pinching); what is "
+                "left then is beyond its law."
+            )
+        return Verdict(told, explains)

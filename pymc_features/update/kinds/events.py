@@ -20,22 +20,17 @@ from pymc_features.exceptions import ConfigError, StudyMismatchError
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.config.messages import shown
 from pymc_features.update.config.sections import Section, key
-from pymc_features.update.kinds.base import Setting
+from pymc_features.update.kinds.base import Figure, Setting, table
 from pymc_features.update.kinds.channels import Measured, checked_dofs, read_measured
-from pymc_features.update.kinds.histories import prints_of
-from pymc_features.update.kinds.model import declare
-from pymc_features.update.kinds.responses import Responses, check_likelihood
-from pymc_features.update.presentation.shown import Figure
+from pymc_features.update.kinds.histories import check_likelihood, prints_of
+from pymc_features.update.kinds.model import declare, kinds_of
+from pymc_features.update.kinds.responses import Responses
 
 FEWEST_DRAWS = 100  # to which a density is fitted
 FOLDER = "sequence"  # beside the parts of an update
 COLUMNS = (
-    "event",
-    "log score",
-    "standard error",
-    "of a structure unknown before",
-    "probability of a change",
-    "",
+    *("likelihood", "event", "log score", "standard error", "of a structure unknown before"),
+    *("probability of a change", ""),
 )
 UNTOLD = 10.0  # standard error of a log score from which on its draws are too few to tell it
 CANNOT_BE_TOLD = "cannot be told"
@@ -77,15 +72,7 @@ class EventsSection(Section):
 
 
 class Event(NamedTuple):
-    """One event.
-
-    Attributes
-    ----------
-    name : str
-        Of its file or folder.
-    measured : Measured
-        Motion of the base, and measured responses.
-    """
+    """One event: the name of its file or folder, motion of the base and measured responses."""
 
     name: str
     measured: Measured
@@ -93,15 +80,9 @@ class Event(NamedTuple):
 
 @dataclass(frozen=True)
 class Events(Responses):
-    """Measured responses of several events; `measured` is the last of them.
+    """Measured responses of several events; `measured` is the last of them."""
 
-    Attributes
-    ----------
-    events : tuple of Event
-        In their order.
-    """
-
-    events: tuple[Event, ...] = ()
+    events: tuple[Event, ...] = ()  # in their order
 
     key, section = "events", EventsSection
 
@@ -124,14 +105,11 @@ class Events(Responses):
             )
         if config.likelihood is None:
             raise ConfigError("`likelihood` must be given with [events]: a table.")
-        refused = [
-            kind for kind, entry in LIKELIHOODS.items() if entry.calibrates or entry.is_likelihood_free
-        ]
-        if found := [kind for kind in config.likelihood.kinds if kind in refused]:
-            taken = ", ".join(kind for kind in LIKELIHOODS if kind not in refused)
+        taken = [kind for kind, one in LIKELIHOODS.items() if not (one.calibrates or one.is_likelihood_free)]
+        if refused := [kind for kind in config.likelihood.kinds if kind not in taken]:
             raise ConfigError(
-                f"`likelihood.kinds` must not have {found[0]} with [events], for its posterior cannot be the "
-                f"prior of the next event. Take {taken}."
+                f"`likelihood.kinds` must not have {refused[0]} with [events], for its posterior cannot be "
+                f"the prior of the next event. Take {', '.join(taken)}."
             )
         asked = config.sampler
         if asked.method != "auto":
@@ -155,10 +133,9 @@ class Events(Responses):
 
         An event is a file with all channels, or a folder in which `data.files` and `record.path` are.
         """
-        config, folder = given.config, given.folder
+        config, events = given.config, []
         dofs = checked_dofs(config, given.expected.n_dof)
-        events = []
-        for name, path in places(config.events, folder).items():
+        for name, path in places(config.events, given.folder).items():
             own = of_event(config, path)
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
@@ -169,17 +146,38 @@ class Events(Responses):
             for warning in caught:
                 warnings.warn(f"{name}: {warning.message}", warning.category, stacklevel=2)
             events.append(Event(name, measured))
-        check_likelihood(given, dofs, [event.measured for event in events])
+        check_likelihood(given, len(dofs), *(event.measured for event in events))
         return cls(config, events[-1].measured, dofs, tuple(events))
 
     @property
     def is_checked(self):
         """Whether any event was."""
-        return any(event.measured.checked.is_any for event in self.events)
+        return any(event.measured.is_checked for event in self.events)
+
+    @property
+    def used(self):
+        """How many histories of what, in which events."""
+        durations = [f"{event.measured.record.duration:.4g}" for event in self.events]
+        return f"{len(self.dofs)} measured {self.plural} in events of {listed(durations)} s"
+
+    def prints(self):
+        """None: events may be added."""
+        return {}
+
+    @property
+    def identity(self):
+        """What all events are recognised by."""
+        prints = [[event.name, *prints_of(event.measured).values()] for event in self.events]
+        return hashlib.sha256(json.dumps(prints).encode()).hexdigest()
 
     def alone(self, event: Event) -> Responses:
         """The responses of one event."""
         return Responses(self.config, event.measured, self.dofs)
+
+    def at(self, problem, event: Event):
+        """The problem of one event alone; what was measured besides counts once, with the first."""
+        others = problem.data[1:] if event is self.events[0] else ()
+        return problem.with_data(self.alone(event), *others)
 
     def told(self):
         """Say what was read of each event."""
@@ -193,38 +191,9 @@ class Events(Responses):
             at = path.with_name(f"{path.stem}-{number}{path.suffix}")
             yield from self.alone(event).check(self.at(problem, event), at)
 
-    def figures_of(self, problem, part, kind):
-        """Add the parameters from event to event to the figures of histories."""
-        units = {name: problem.unit(name) for name in problem.priors}
-        return [
-            Figure(
-                f"{kind}_events",
-                f"{kind}: mean and 90 % interval of each parameter after each event, with the alarms.",
-                lambda: draw_events(part, units),
-            ),
-            *super().figures_of(problem, part, kind),
-        ]
-
-    def prints(self):
-        """None: events may be added."""
-        return {}
-
-    @property
-    def identity(self):
-        """What all events are recognised by."""
-        prints = [[event.name, *prints_of(event.measured).values()] for event in self.events]
-        return hashlib.sha256(json.dumps(prints).encode()).hexdigest()
-
-    @property
-    def used(self):
-        """How many histories of what, in which events."""
-        durations = [f"{event.measured.record.duration:.4g}" for event in self.events]
-        return f"{len(self.dofs)} measured {self.plural} in events of {listed(durations)} s"
-
-    def at(self, problem, event: Event):
-        """The problem of one event alone; what was measured besides counts once, with the first."""
-        others = problem.data[1:] if event is self.events[0] else ()
-        return problem.with_data(self.alone(event), *others)
+    def foretold(self, problem, measured=None):
+        """Count the observations of all events together."""
+        return super().foretold(problem, [event.measured for event in self.events])
 
     def sample(self, problem, likelihood, model, seed, running):
         """The posterior after the last event; that after each one is kept in a folder for each likelihood."""
@@ -258,9 +227,58 @@ class Events(Responses):
         idata["sequence"] = xr.DataTree(idata["sequence"].to_dataset().assign_coords(name=("event", names)))
         return idata, model
 
-    def foretold(self, problem, measured=None):
-        """Count the observations of all events together."""
-        return super().foretold(problem, [event.measured for event in self.events])
+    def sentences(self, problem, result, explains):
+        """Whether the structure has changed under the first likelihood."""
+        kind = kinds_of(result)[0]
+        record = result[kind]["sequence"].to_dataset()
+        names, changed = record["name"].values, record["probability_changed"].values
+        raised, largest = np.flatnonzero(record["alarm"].values), int(changed.argmax())
+        last = f"What follows is the state after the last event, {names[-1]}."
+        if raised.size:
+            told = ", ".join(f"{names[k]} (probability {changed[k]:.3f})" for k in raised)
+            yield (
+                f"Alarm: under {kind} the structure has changed before {told}; events before the last change "
+                f"count no longer. {last}",
+                False,
+            )
+        elif names.size == 1:
+            yield f"One event, {names[0]}: there is nothing yet to compare it with.", True
+        else:
+            yield (
+                f"The {names.size} events are those of one structure under {kind}: the largest probability "
+                f"of a change is {changed[largest]:.3f}, before {names[largest]}. {last}",
+                True,
+            )
+        yield from super().sentences(problem, result, explains)
+
+    def tables(self, problem, result):
+        """Add the scores of each event under each likelihood."""
+        rows = [(kind, *row) for kind in kinds_of(result) for row in event_rows(result[kind]["sequence"])]
+        own = table("events", "events", "From event to event", COLUMNS, rows, MEANING)
+        return [*super().tables(problem, result), own]
+
+    def figures_of(self, problem, part, kind):
+        """Add the parameters from event to event to the figures of histories."""
+        units = {name: problem.unit(name) for name in problem.priors}
+
+        def draw():
+            axes = plots.plot_sequence(part)
+            for ax in axes:
+                ax.set_ylabel(f"{ax.get_ylabel()} [{units.get(ax.get_ylabel(), '-')}]")
+            return axes
+
+        words = f"{kind}: mean and 90 % interval of each parameter after each event, with the alarms."
+        return [Figure(f"{kind}_events", words, draw), *super().figures_of(problem, part, kind)]
+
+
+def event_rows(record) -> list[tuple[str, ...]]:
+    """Name, log scores, their error, probability of a change and alarm of each event of a sequence."""
+    numbers = [record[name].values for name in ("log_score", "log_score_se", "log_score_fresh")]
+    scores = np.array([[f"{value:.2f}" for value in row] for row in numbers], dtype=object)
+    scores[:2, ~(numbers[1] < UNTOLD) & np.isfinite(numbers[0])] = CANNOT_BE_TOLD
+    changed = [f"{value:.3f}" for value in record["probability_changed"].values]
+    alarms = ["alarm" if raised else "" for raised in record["alarm"].values]
+    return list(zip(record["name"].values.astype(str), *scores, changed, alarms, strict=True))
 
 
 def places(section, folder: Path) -> dict[str, Path]:
@@ -301,55 +319,3 @@ def of_event(config, path: Path):
             "make a folder for each event."
         )
     return config.model_copy(update={"data": config.data.model_copy(update={"files": path.name})})
-
-
-def event_rows(part) -> list[tuple[str, ...]]:
-    """Cells of each event under one likelihood, as of `COLUMNS`; none without a sequence."""
-    if "sequence" not in part.children:
-        return []
-    record = part["sequence"].to_dataset()
-    numbers = ("log_score", "log_score_se", "log_score_fresh")
-    scores = np.array([[f"{value:.2f}" for value in record[name].values] for name in numbers], dtype=object)
-    is_told = record["log_score_se"].values < UNTOLD
-    scores[:2, ~is_told & np.isfinite(record["log_score"].values)] = CANNOT_BE_TOLD
-    cells = [
-        record["name"].values.astype(str),
-        *scores,
-        [f"{value:.3f}" for value in record["probability_changed"].values],
-        ["alarm" if raised else "" for raised in record["alarm"].values],
-    ]
-    return list(zip(*cells, strict=True))
-
-
-def events_verdict(kind, part) -> tuple[str, bool]:
-    """Whether the structure has changed, in a sentence, and whether it has not; empty without a sequence."""
-    if "sequence" not in part.children:
-        return "", True
-    record = part["sequence"].to_dataset()
-    names, changed = record["name"].values, record["probability_changed"].values
-    raised = np.flatnonzero(record["alarm"].values)
-    last = f"What follows is the state after the last event, {names[-1]}."
-    if raised.size:
-        told = ", ".join(f"{names[k]} (probability {changed[k]:.3f})" for k in raised)
-        return (
-            f"Alarm: under {kind} the structure has changed before {told}; events before the last change "
-            f"count no longer. {last}",
-            False,
-        )
-    if names.size == 1:
-        return f"One event, {names[0]}: there is nothing yet to compare it with.", True
-    largest = int(changed.argmax())
-    return (
-        f"The {names.size} events are those of one structure under {kind}: the largest probability of a "
-        f"change is {changed[largest]:.3f}, before {names[largest]}. {last}",
-        True,
-    )
-
-
-def draw_events(part, units):
-    """Parameters from event to event, with their units."""
-    axes = plots.plot_sequence(part)
-    for ax in axes:
-        name = ax.get_ylabel()
-        ax.set_ylabel(f"{name} [{units.get(name, '-')}]")
-    return axes

@@ -8,7 +8,6 @@ import xarray as xr
 from pydantic import model_validator
 from pytensor.graph.traversal import ancestors
 
-from pymc_features import signals
 from pymc_features.emulation import emulate
 from pymc_features.exceptions import ConfigError
 from pymc_features.external import ExternalSimulator, ProgramSimulator
@@ -17,31 +16,27 @@ from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.ops import ExternalResponse
 from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Parameter
-from pymc_features.update.config.messages import named_key
+from pymc_features.update.config.messages import named_key, refuse
 from pymc_features.update.config.sections import MEASURED, Section, key
-from pymc_features.update.kinds.base import Setting
-from pymc_features.update.kinds.channels import Measured, detrended, read_corrected, window_of
-from pymc_features.update.kinds.checks import Checked
-from pymc_features.update.kinds.histories import QUANTILES, Histories, check_errors, check_gaps
+from pymc_features.update.kinds.base import QUANTILES, Setting, Verdict, channels_table
+from pymc_features.update.kinds.channels import Measured, part_compared, read_whole
+from pymc_features.update.kinds.histories import Histories, check_likelihood, components_of
 from pymc_features.update.kinds.model import thinned
-from pymc_features.update.kinds.residuals import DENSE, ROUGH, UNEXPLAINED, densest_share, headline
-from pymc_features.update.presentation.components import components_of
-from pymc_features.update.presentation.shown import SENSORS, Verdict, processing_steps, sensor_rows, table
+from pymc_features.update.kinds.responses import (
+    DENSE,
+    ROUGH,
+    UNEXPLAINED,
+    accounted_for,
+    densest_share,
+    headline,
+)
 
 SIMULATED = 50  # draws whose responses the report shows
-REFUSED = (
-    "structure",
-    "record",
-    "events",
-    "modal",
-    "ambient",
-    "cyclic",
-    "predict",
-    "compare",
-    "hierarchical",
-    "sensitivity",
+OF_STRUCTURES = "structure record events modal ambient cyclic predict compare hierarchical sensitivity"
+OF_ONE_SIDE = (
+    "data.base data.dofs data.excitation data.interpolation processing.band_pass processing.check_band "
+    "processing.decimate report.natural_frequencies report.quantities"
 )
-UNCHECKED = Checked(None, "not checked: only the program knows the motion of the base")
 
 
 class ExternalSection(Section):
@@ -67,7 +62,7 @@ class ExternalSection(Section):
     @model_validator(mode="after")
     def takes_something(self):
         """A program without parameters is always the same."""
-        texts = [*([self.program] if isinstance(self.program, str) else self.program), *self.template]
+        texts = [self.program] if isinstance(self.program, str) else self.program
         if not self.template and not any("{{" in text for text in texts):
             raise ValueError(
                 "must have a `template`, or a parameter as {{NAME}} in `program`, got neither: the program "
@@ -85,7 +80,7 @@ class ProgramOf:
     """What stands in place of a structure: the names of the program's parameters, and no modes."""
 
     has_modes = has_storeys = False
-    n_modes = None
+    n_modes, files = None, ()
 
     def __init__(self, section: ExternalSection):
         self.names = list(section.units)
@@ -98,15 +93,9 @@ class ProgramOf:
 
 @dataclass(frozen=True)
 class External(Histories):
-    """Histories that a program computes for known parameters; it alone knows the motion of the base.
+    """Histories that a program computes for known parameters; it alone knows the motion of the base."""
 
-    Attributes
-    ----------
-    simulator : ExternalSimulator
-        The program, with its cache.
-    """
-
-    simulator: ExternalSimulator
+    simulator: ExternalSimulator  # the program, with its cache
 
     key, section = "external", ExternalSection
     is_checked, n_predicted = False, SIMULATED
@@ -119,34 +108,24 @@ class External(Histories):
     @classmethod
     def check_sections(cls, config):
         """Sections that speak of a structure mean nothing, and filters would touch one side alone."""
-        for name in REFUSED:
-            if name in config.model_fields_set:
-                raise ConfigError(f"`{name}` must be left out with [external], got it. The program decides.")
+        refuse(config, OF_STRUCTURES, "with [external], got it. The program decides.")
         if config.data is None or (config.data.files is None and config.data.dataset is None):
             raise ConfigError("`data` must be given with [external]: a table with the measured `files`.")
         if config.likelihood is None:
             raise ConfigError("`likelihood` must be given with [external]: a table.")
-        for section, names in (
-            ("data", ("base", "dofs", "excitation", "interpolation")),
-            ("processing", ("band_pass", "decimate", "check_band")),
-            ("report", ("natural_frequencies", "quantities")),
-        ):
-            if given := sorted(getattr(config, section).model_fields_set & set(names)):
-                raise ConfigError(
-                    f"`{section}.{given[0]}` must be left out with [external], got it. What the program "
-                    "returns is compared as it is."
-                )
+        as_it_is = "with [external], got it. What the program returns is compared as it is."
+        refuse(config, OF_ONE_SIDE, as_it_is)
         is_emulated = config.external.emulate is not None
         for kind in config.likelihood.kinds:
             entry = LIKELIHOODS[kind]
             if entry.calibrates or (is_emulated and entry.is_likelihood_free):
-                taken = [
-                    name for name, e in LIKELIHOODS.items() if not (e.calibrates or e.is_likelihood_free)
-                ]
+                why = " and `emulate`" if is_emulated else ", for programs have no sensitivities"
                 raise ConfigError(
-                    f"`likelihood.kinds` must not have {kind} with [external]"
-                    f"{' and `emulate`' if is_emulated else ', for programs have no sensitivities'}. "
-                    f"Take {', '.join(taken)}."
+                    f"`likelihood.kinds` must not have {kind} with [external]{why}. Take "
+                    + ", ".join(
+                        n for n, e in LIKELIHOODS.items() if not (e.calibrates or e.is_likelihood_free)
+                    )
+                    + "."
                 )
         if is_emulated and config.sampler.method != "auto":
             raise ConfigError(
@@ -157,20 +136,13 @@ class External(Histories):
     def read(cls, given: Setting):
         """The channels, and the program with the shape that they need."""
         config, asked = given.config, given.config.external
-        channels, source = read_corrected(config, given.folder)
-        channels = detrended(channels, config.processing)
-        if config.processing.trim is not None:
-            with named_key("processing.trim"):
-                channels = signals.trim(channels, *config.processing.trim)
-        with named_key("data"):
-            step = signals.sampling_step(channels)
+        channels, step, source = read_whole(config, given.folder)
         shape = channels.shape
         channels = channels.drop_vars("units", errors="ignore")
         channels = channels.assign_attrs(units=SI[MEASURED[config.data.quantity]])
-        compared, first = window_of(channels, config.processing.compare)
-        measured = Measured(None, compared, step, source, UNCHECKED, first)
-        check_errors(config, given.priors, len(compared))
-        check_gaps(config, measured)
+        compared, first = part_compared(channels, config.processing)
+        measured = Measured(None, compared, step, source, first)
+        check_likelihood(given, len(compared), measured)
         with named_key("external", command="program", inputs="template", result="output"):
             program = ProgramSimulator(
                 asked.program,
@@ -223,17 +195,6 @@ class External(Histories):
                 progressbar=running.progressbar,
             )
 
-    def predict(self, problem, likelihood, model, idata):
-        """Add the responses of draws by their principal components."""
-        found = super().predict(problem, likelihood, model, idata)
-        drawn, responses = self.responses(problem, model, idata)
-        labels = drawn.stack(sample=("chain", "draw"))
-        median = found["bands"]["response"].sel(quantile=0.5, drop=True)
-        off = np.moveaxis(responses - median.values, 0, -1)
-        known = np.isfinite(off).all(axis=(0, 1))
-        labels = {name: ("sample", labels[name].values[known]) for name in ("chain", "draw")}
-        return found | {"histories": components_of(lambda: [(0, off[..., known])], median, labels)}
-
     def responses(self, problem, model, idata) -> tuple[xr.Dataset, np.ndarray]:
         """Some draws, and their responses (sample, sensor, time) by the program or its emulator."""
         drawn = thinned(idata["posterior"].to_dataset(), SIMULATED)
@@ -241,20 +202,25 @@ class External(Histories):
         # the emulator where the model has one; that of ABC has no response among its variables
         ops = [v.owner.op for v in ancestors(model.basic_RVs) if v.owner is not None]
         found = next((op.simulator for op in ops if isinstance(op, ExternalResponse)), self.simulator)
-        return drawn, found.responses(*columns)[..., self.measured.compared]
+        return drawn, found.responses(*columns)[..., self.measured.window]
 
     def response_quantiles(self, problem, model, idata):
         """Take quantiles of the responses of some draws, without those at which the program fails."""
         return np.nanquantile(self.responses(problem, model, idata)[1], QUANTILES, axis=0)
 
-    def drawn_of(self, problem, part):
-        """None: they are known from the beginning."""
-        return {}
+    def components(self, problem, model, idata, median):
+        """Take `components_of` the responses of some draws."""
+        drawn, responses = self.responses(problem, model, idata)
+        off = np.moveaxis(responses - median.values, 0, -1)
+        known = np.isfinite(off).all(axis=(0, 1))
+        stacked = drawn.stack(sample=("chain", "draw"))
+        labels = {name: ("sample", stacked[name].values[known]) for name in ("chain", "draw")}
+        return components_of(lambda: [(0, off[..., known])], median, labels)
 
-    def shared(self, problem, parts):
+    def shared(self, problem):
         """The histories that were measured."""
-        channels = self.channels.drop_attrs().assign_attrs(units=self.measured.units)
-        return {"data": xr.Dataset({"measured": channels}, attrs={"source": self.measured.source})}
+        attrs = {"source": self.measured.source}
+        return {"data": xr.Dataset({"measured": self.measured.with_units}, attrs=attrs)}
 
     def told(self):
         """The files, and the program."""
@@ -264,35 +230,27 @@ class External(Histories):
     def check(self, problem, path):
         """Run the program once, at the medians of the priors."""
         middle = {name: problem.priors[name].median for name in problem.structure.names}
-        start, known = time.perf_counter(), dict(self.simulator.counts)
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in middle.items())
+        start, known = time.perf_counter(), self.simulator.counts["cached"]
         [found] = self.simulator.responses(*(np.array([value]) for value in middle.values()))
-        seconds = time.perf_counter() - start
+        how = f"took {time.perf_counter() - start:.2g} s"
         if not np.isfinite(found).all():
             reason = self.simulator.failures[-1].message if self.simulator.failures else "it is not finite"
-            raise ConfigError(
-                f"`external.program` must run at the medians of the priors, {told_values(middle)}: {reason}"
-            )
-        off = self.channels - found[:, self.measured.compared]
+            raise ConfigError(f"`external.program` must run at the medians of the priors, {values}: {reason}")
+        off = self.channels - found[:, self.measured.window]
         relative = np.sqrt((off**2).mean("time") / (self.channels**2).mean("time")).values
-        shares = ", ".join(
-            f"{100.0 * max(0.0, 1.0 - error**2):.0f} % of {name}"
-            for name, error in zip(self.channels["sensor"].values, relative, strict=True)
-        )
-        how = "came from the cache" if self.simulator.counts["cached"] > known["cached"] else ""
+        how = "came from the cache" if self.simulator.counts["cached"] > known else how
         yield (
-            f"The program {how or f'took {seconds:.2g} s'} at the medians of the priors, "
-            f"{told_values(middle)}: it accounts for {shares}."
+            f"The program {how} at the medians of the priors, {values}: it accounts for "
+            f"{accounted_for(self.channels['sensor'].values, relative)}."
         )
 
-    def tables(self, problem):
-        """The channels."""
-        channels, steps = self.channels, processing_steps(self.measured.source, self.config.processing)
-        note = (
-            f"The {', '.join(steps)}. There are {channels.sizes['time']} samples at {self.measured.step:.6g} "
-            f"s. Responses are those of {SIMULATED} draws."
-        )
-        rows = sensor_rows(channels["sensor"].values, ["" for _ in self.dofs], channels.values)
-        return [table("channels", "data", "Channels", SENSORS, rows, note)]
+    def tables(self, problem, result):
+        """Add the channels."""
+        measured, nowhere = self.measured, ["" for _ in self.dofs]
+        more = f". Responses are those of {SIMULATED} draws."
+        shown = channels_table(self.config, measured.source, nowhere, measured.channels, measured.step, more)
+        return [*super().tables(problem, result), shown]
 
     def verdict(self, problem, result, kind):
         """Whether the median response meets what was measured, but for noise."""
@@ -301,16 +259,11 @@ class External(Histories):
         error = np.nan_to_num(measured - part["bands"]["response"].sel(quantile=0.5).values)
         relative = part["bands"]["normalised_error"].values
         structured = densest_share(error, self.measured.step, self.band) > DENSE
-        bad = structured & (relative > UNEXPLAINED)
-        sentences = [headline(sensors, relative, bad)]
-        if (rough := structured & (relative > ROUGH)).any():
-            sentences.append(
+        bad, rough = structured & (relative > UNEXPLAINED), structured & (relative > ROUGH)
+        told = [headline(sensors, relative, bad)]
+        if rough.any():
+            told.append(
                 f"The error at {', '.join(sensors[rough])} is no noise but an error of the model: it is "
                 "gathered around few frequencies."
             )
-        return Verdict(sentences, not bad.any())
-
-
-def told_values(values) -> str:
-    """Names and values in a sentence."""
-    return ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
+        return Verdict(told, not bad.any())

@@ -1,5 +1,6 @@
 """Measured histories that responses of a model are compared with in time, under the section [likelihood]."""
 
+import json
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -9,62 +10,49 @@ import pytensor.tensor as pt
 import xarray as xr
 
 from pymc_features import plots
+from pymc_features.calibration.events import SHORT
 from pymc_features.exceptions import ConfigError
 from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison, abc_tolerance
 from pymc_features.ops import response
 from pymc_features.ops.excitation import request_in_model
 from pymc_features.prediction import posterior_response
+from pymc_features.prediction.draws import structure_draws
 from pymc_features.simulators.quantities import checked_request
 from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Parameter, evaluated
 from pymc_features.update.config.messages import named_key
 from pymc_features.update.config.sections import ERRORS
-from pymc_features.update.kinds.base import KindOfData, Setting
+from pymc_features.update.kinds.base import (
+    QUANTILES,
+    Figure,
+    KindOfData,
+    Setting,
+    check_positive,
+    table,
+)
 from pymc_features.update.kinds.channels import Measured
-from pymc_features.update.kinds.model import thinned
-from pymc_features.update.presentation.components import components_of_draws
-from pymc_features.update.presentation.shown import Figure
+from pymc_features.update.kinds.model import kinds_of, thinned
+from pymc_features.update.report.numbers import interval_texts
 
-QUANTILES = (0.05, 0.5, 0.95)
 DRAWS = 200
+COMPONENTS, HELD = 6, 0.999  # at most so many, or as many as hold this share of the variance of responses
 ZOOM = 4.0  # [s] around the strongest motion
 LONG = (
     "A record of more samples than the figure has pixels is drawn by its smallest and largest values: as a "
     "grey area what was measured, by two lines a response that oscillates too fast for one."
 )
+ERROR_OF_FIT = ("likelihood", "sensor", "rms error / measured rms", "samples in the 90 % band")
 
 
 @dataclass(frozen=True)
 class Histories(KindOfData):
-    """Histories (sensor, time) under a known excitation.
+    """Histories (sensor, time) under a known excitation."""
 
-    Attributes
-    ----------
-    config : Config
-        The configuration file.
-    measured : Measured
-        Excitation and histories.
-    dofs : list of int
-        Degree of freedom of each sensor.
-    """
-
-    config: Any
-    measured: Measured
-    dofs: list[int]
+    config: Any  # the configuration file
+    measured: Measured  # excitation and histories
+    dofs: list[int]  # degree of freedom of each sensor
 
     n_predicted: ClassVar[int] = DRAWS
-
-    @classmethod
-    def measure(cls, given: Setting) -> Measured:
-        """Read and check what the sections name."""
-        raise NotImplementedError
-
-    @classmethod
-    def read(cls, given: Setting):
-        """What the section names, with errors that fit it."""
-        measured, dofs = cls.measure(given), [0]
-        check_errors(given.config, given.priors, len(dofs))
-        return cls(given.config, measured, dofs)
 
     @property
     def likelihoods(self):
@@ -80,11 +68,6 @@ class Histories(KindOfData):
     def channels(self) -> xr.DataArray:
         """What is compared (sensor, time)."""
         return self.measured.channels
-
-    @property
-    def left_out(self):
-        """Which part of each sensor is left out as a gap."""
-        return self.measured.left_out
 
     def parameters(self, likelihood):
         """Return the parameters of the errors."""
@@ -110,45 +93,31 @@ class Histories(KindOfData):
 
     def tolerance(self, parts) -> float:
         """delta of ABC: as the configuration says, or Eq. (16) with the posterior of EXP."""
-        likelihood, n_sensors = self.config.likelihood, len(self.dofs)
-        if likelihood.epsilon is not None:
-            return likelihood.epsilon
-        if not isinstance(likelihood.sigma, Parameter):
-            return abc_tolerance(likelihood.sigma, n_sensors)
-        sigma = likelihood.sigma.times * parts["EXP"]["posterior"][likelihood.sigma.prior]
-        return abc_tolerance(sigma, n_sensors)
+        epsilon, sigma = self.config.likelihood.epsilon, self.config.likelihood.sigma
+        if epsilon is None and isinstance(sigma, Parameter):
+            sigma = sigma.times * parts["EXP"]["posterior"][sigma.prior]
+        return abc_tolerance(sigma, len(self.dofs)) if epsilon is None else epsilon
+
+    def settings(self, problem) -> dict:
+        """What a response needs besides the structure and the motion."""
+        return {"dt": self.measured.step, "sensors": self.dofs, "n_modes": problem.structure.n_modes}
+
+    def as_recorded(self, problem, structure):
+        """The request of a structure's response to the record as it is, and its outputs."""
+        return checked_request(structure, self.measured.record, self.quantity, **self.settings(problem))
 
     def request(self, problem):
         """The request of the model's response, with the refinement that its priors need, and its outputs."""
-        record = self.measured.record
         with pm.Model():
             values = {name: problem.priors[name].declare(name) for name in problem.structure.names}
             structure = problem.structure(**values)
             asked, outputs = self.as_recorded(problem, structure)
-            return request_in_model(structure, record, asked), outputs
-
-    def as_recorded(self, problem, structure):
-        """The request of a structure's response to the record as it is, and its outputs."""
-        return checked_request(
-            structure,
-            self.measured.record,
-            self.quantity,
-            dt=self.measured.step,
-            sensors=self.dofs,
-            n_modes=problem.structure.n_modes,
-        )
+            return request_in_model(structure, self.measured.record, asked), outputs
 
     def response(self, problem, structure):
         """The response (sensor, time) of a structure to the excitation, in the model of the context."""
         with named_key("structure"):
-            return response(
-                structure,
-                self.measured.record,
-                dt=self.measured.step,
-                sensors=self.dofs,
-                quantity=self.quantity,
-                n_modes=problem.structure.n_modes,
-            )
+            return response(structure, self.measured.record, quantity=self.quantity, **self.settings(problem))
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         """Add the measured responses to the model of the context."""
@@ -161,22 +130,139 @@ class Histories(KindOfData):
             for name, value in asked.parameters_of(likelihood)
         }
         if self.config.processing.compare is not None:
-            mu = mu[:, measured.compared]
+            mu = mu[:, measured.window]
             errors["dt"] = pt.constant(measured.step)  # which likelihoods no longer see
         given = Comparison(mu, observed.values, epsilon=tolerance, density=asked.density, **errors)
         LIKELIHOODS[likelihood].declare(given)
 
     def predict(self, problem, likelihood, model, idata):
-        """The histories, and bands of the response."""
-        channels = self.channels.drop_attrs().assign_attrs(units=self.measured.units)
+        """The histories, bands of the response, and responses of draws by their principal components."""
+        bands = self.bands(problem, likelihood, model, idata)
+        median = bands["response"].sel(quantile=0.5, drop=True)
         return {
-            "observed_data": xr.Dataset({"y": channels}),
-            "bands": self.bands(problem, likelihood, model, idata),
+            "observed_data": xr.Dataset({"y": self.measured.with_units}),
+            "bands": bands,
+            "histories": self.components(problem, model, idata, median),
         }
 
-    def drawn_of(self, problem, part):
-        """Responses of draws by their principal components."""
-        return {"histories": components_of_draws(self, problem, part)}
+    def bands(self, problem, likelihood, model, idata) -> xr.Dataset:
+        """Bands of the response and of data like those measured, at the sensors.
+
+        `response` (quantile, sensor, time) is of the parameters' uncertainty alone; `predictive`, the same of
+        draws of the likelihood, errors included (ABC has none); `normalised_error` (sensor), rms of measured
+        less median response over rms measured; `coverage` (sensor), share of the samples in the predictive
+        band, both without the gaps in what was measured; peaks of other responses (`<quantity>_peak`) if the
+        report asks for them.
+        """
+        observed = self.channels
+        coords = {"quantile": list(QUANTILES), "sensor": observed["sensor"], "time": observed["time"]}
+        dims = ("quantile", "sensor", "time")
+        quantiles = self.response_quantiles(problem, model, idata)
+        found = xr.Dataset({"response": (dims, quantiles)}, coords=coords)
+        off = observed - found["response"].sel(quantile=0.5, drop=True)
+        with np.errstate(divide="ignore", invalid="ignore"):  # of a channel of zeros
+            found["normalised_error"] = np.sqrt((off**2).mean("time") / (observed**2).mean("time"))
+        if not LIKELIHOODS[likelihood].is_likelihood_free:
+            found["predictive"] = dims, predictive(model, idata, self.n_predicted)
+            low, high = found["predictive"].isel(quantile=0), found["predictive"].isel(quantile=-1)
+            inside = ((observed >= low) & (observed <= high)).where(observed.notnull())
+            found["coverage"] = inside.mean("time")
+        if names := problem.config.report.quantities:
+            rest = self.responses_of_draws(problem, idata, names, sensors=None)
+            for name in names:
+                peak = rest[f"{name}_peak"]
+                rows = {dim: f"{name}_{dim}" for dim in peak.dims if dim != "sample"}
+                kept = peak.rename(rows).quantile(QUANTILES, dim="sample", keep_attrs=True)
+                found[f"{name}_peak"] = kept.drop_vars([c for c in kept.coords if c not in kept.dims])
+        return found
+
+    def responses_of_draws(self, problem, idata, quantities, **others) -> xr.Dataset:
+        """Quantiles of responses, and peaks, of draws to the motion that was measured."""
+        settings = self.settings(problem) | {"draws": self.n_predicted, "quantiles": QUANTILES} | others
+        record = self.measured.record
+        return posterior_response(idata, problem.structure, record, quantities, random_seed=0, **settings)
+
+    def response_quantiles(self, problem, model, idata) -> np.ndarray:
+        """Quantiles (quantile, sensor, time) of the responses of draws where they are compared."""
+        found = self.responses_of_draws(problem, idata, self.quantity)
+        return found[self.quantity].values[..., self.measured.window]
+
+    def components(self, problem, model, idata, median) -> xr.Dataset:
+        """Take `components_of` the responses to the motion that was measured."""
+        posterior, name = idata["posterior"].to_dataset(), self.quantity
+        with structure_draws(
+            posterior,
+            problem.structure,
+            [self.measured.record],
+            [name],
+            DRAWS,
+            0,
+            keep_histories=True,
+            **self.settings(problem),
+        ) as drawn:
+            window = np.arange(len(drawn.ensemble.times(0)))[self.measured.window]
+
+            def deviations():
+                for first, values in drawn.ensemble.blocks(0, name):
+                    inside = window[(window >= first) & (window < first + values.shape[1])]
+                    if inside.size:
+                        at = inside - window[0]
+                        yield int(at[0]), values[:, inside - first] - median.values[:, at, None]
+
+            return components_of(deviations, median, drawn.labels)
+
+    def sentences(self, problem, result, explains):
+        """Gaps, and how many observations the residuals support."""
+        if left_out := self.measured.left_out:
+            yield f"Left out as gaps: {left_out}.", True
+        kinds = kinds_of(result)
+        for kind in (kind for kind in kinds if LIKELIHOODS[kind].calibrates):
+            yield self.supported(result[kind], kind, kinds, explains), True
+
+    def supported(self, part, kind: str, kinds, explains: bool) -> str:
+        """How many observations the residuals support, beside what likelihoods claim.
+
+        And what made the intervals what they are: frequency bands that disagree, bounds of priors. Where the
+        model does not explain the data, or the likelihood has several maxima, no interval comes first.
+        """
+        n_eff, m = float(part["calibration"].attrs["n_eff"]), self.config.likelihood.m
+        entries = [LIKELIHOODS[name] for name in dict.fromkeys([LIKELIHOODS[kind].calibrates, *kinds])]
+        claims = {entry.name: entry.claimed(self.measured.samples, m) for entry in entries}
+        claimed = [f"{name} {n:,.0f}" for name, n in claims.items() if n is not None]
+        claimed[0] = claimed[0].replace(" ", " claims ", 1)
+        told = [f"The residuals support {n_eff:,.0f} independent observations; {', '.join(claimed)}."]
+        n_modes = part["calibration"].sizes.get("mode", 1)
+        if not explains:
+            told.append("No interval can be relied on where the model does not explain the measurements.")
+        elif n_modes > 1:
+            told.append(
+                f"The likelihood has {n_modes} maxima, of which residuals do not tell the right one: no "
+                "interval can be relied on."
+            )
+        else:
+            told.append(f"{kind} comes first, for its intervals are as wide as the residuals support.")
+        told.append(json.loads(part.attrs["calibration"])["sentence"])
+        if at := bounds_of(part):
+            named = ", ".join(f"{name} ({bound:.4g})" for name, bound in at.items())
+            told.append(f"Next to a bound of its prior the 90 % interval is the shortest one: {named}.")
+        return " ".join(filter(None, told))
+
+    def tables(self, problem, result):
+        """How each likelihood meets the responses, and the largest values of other responses."""
+        fit, peaks = [], []
+        for kind in kinds_of(result):
+            bands = result[kind]["bands"].to_dataset()
+            errors = [f"{value:.2f}" for value in bands["normalised_error"].values]
+            shares = [f"{100 * v:.0f} %" for v in bands["coverage"].values] if "coverage" in bands else None
+            rows = zip(bands["sensor"].values, errors, shares or [""] * len(errors), strict=True)
+            fit += [(kind, *row) for row in rows]
+            names = [name for name in bands.data_vars if str(name).endswith("_peak")]
+            peaks += [(kind, *row) for name in names for row in peak_rows(bands[name])]
+        quantiles = ("likelihood", "largest response", "unit", "5 %", "50 %", "95 %")
+        return [
+            table("fit", "response", "Error of the median response", ERROR_OF_FIT, fit),
+            table("peaks", "response", "Largest values of other responses", quantiles, peaks),
+        ]
 
     def figures_of(self, problem, part, kind):
         """What was measured with the bands, all of it and its strongest part."""
@@ -196,68 +282,6 @@ class Histories(KindOfData):
             ),
         ]
 
-    def bands(self, problem, likelihood, model, idata) -> xr.Dataset:
-        """Bands of the response and of data like those measured, at the sensors.
-
-        Returns
-        -------
-        Dataset
-            `response` (quantile, sensor, time), of the parameters' uncertainty alone; `predictive`, the same
-            of draws of the likelihood, errors included (ABC has none); `normalised_error` (sensor), rms of
-            measured less median response over rms measured; `coverage` (sensor), share of the samples in the
-            predictive band, both without the gaps in what was measured; `coarseness` (sensor), see
-            `coarse_sampling`. Peaks of other responses
-            (`<quantity>_peak`) if the report asks for them.
-        """
-        observed = self.channels
-        coords = {"quantile": list(QUANTILES), "sensor": observed["sensor"], "time": observed["time"]}
-        dims = ("quantile", "sensor", "time")
-        quantiles = self.response_quantiles(problem, model, idata)
-        found = xr.Dataset({"response": (dims, quantiles)}, coords=coords)
-        off = observed - found["response"].sel(quantile=0.5, drop=True)
-        with np.errstate(divide="ignore", invalid="ignore"):  # of a channel of zeros
-            found["normalised_error"] = np.sqrt((off**2).mean("time") / (observed**2).mean("time"))
-        if not LIKELIHOODS[likelihood].is_likelihood_free:
-            found["predictive"] = dims, predictive(model, idata, self.n_predicted)
-            low, high = found["predictive"].isel(quantile=0), found["predictive"].isel(quantile=-1)
-            inside = ((observed >= low) & (observed <= high)).where(observed.notnull())
-            found["coverage"] = inside.mean("time")
-        return found if not problem.config.report.quantities else found.assign(self.peaks(problem, idata))
-
-    def settings(self, problem) -> dict:
-        """How responses of draws are predicted."""
-        common = {"draws": self.n_predicted, "quantiles": QUANTILES, "random_seed": 0}
-        return common | {"dt": self.measured.step, "n_modes": problem.structure.n_modes}
-
-    def response_quantiles(self, problem, model, idata) -> np.ndarray:
-        """Quantiles (quantile, sensor, time) of the responses of draws where they are compared."""
-        motion, settings = self.measured.record, self.settings(problem)
-        found = posterior_response(
-            idata, problem.structure, motion, self.quantity, sensors=self.dofs, **settings
-        )
-        return found[self.quantity].values[..., self.measured.compared]
-
-    def peaks(self, problem, idata) -> dict[str, xr.DataArray]:
-        """Quantiles of the peaks of the quantities that the report asks for."""
-        names, found = problem.config.report.quantities, {}
-        settings = self.settings(problem)
-        rest = posterior_response(idata, problem.structure, self.measured.record, names, **settings)
-        for name in names:
-            peak = rest[f"{name}_peak"]
-            rows = {dim: f"{name}_{dim}" for dim in peak.dims if dim != "sample"}
-            kept = peak.rename(rows).quantile(QUANTILES, dim="sample", keep_attrs=True)
-            found[f"{name}_peak"] = kept.drop_vars([c for c in kept.coords if c not in kept.dims])
-        return found
-
-
-def strongest(part) -> tuple[float, float]:
-    """A window [s] around the largest measured acceleration."""
-    observed = part["observed_data"]["y"]
-    peak = float(observed["time"][int(np.abs(np.nan_to_num(observed.values)).max(axis=0).argmax())])
-    last = float(observed["time"][-1])
-    first = max(0.0, min(peak - 0.4 * ZOOM, last - ZOOM))
-    return first, min(last, first + ZOOM)
-
 
 def predictive(model, idata, draws: int) -> np.ndarray:
     """Quantiles (quantile, sensor, time) of draws of the data."""
@@ -274,6 +298,65 @@ def predictive(model, idata, draws: int) -> np.ndarray:
     return np.nanquantile(values.reshape(-1, *values.shape[2:]), QUANTILES, axis=0)
 
 
+def components_of(blocks, median, labels) -> xr.Dataset:
+    """Responses of some draws, less their median, by principal components: a page shows any, and holds few.
+
+    The deviations D (sensor and time, draw) have the Gram matrix D'D = V diag(s^2) V'; the components are
+    U = D V with the largest s, and a draw is the median plus U times its row of V.
+
+    `blocks()` yields a first sample and the deviations from the `median` (sensor, time) from there on
+    (sensor, time, draw); `labels` are `chain` and `draw` of each sample. The Dataset has `component`
+    (component, sensor, time), `coefficient` (sample, component), and the share of the variance that is held
+    in `attrs`.
+    """
+    gram = sum(np.einsum("rta,rtb->ab", d, d) for _, d in blocks())
+    squares, vectors = np.linalg.eigh(gram)
+    squares, vectors = np.maximum(squares[::-1], 0.0), vectors[:, ::-1]
+    total = squares.sum()
+    share = np.cumsum(squares) / total if total > 0.0 else np.ones(len(squares))
+    n = min(int(np.searchsorted(share, HELD)) + 1, COMPONENTS, len(squares))
+    component = np.zeros((n, *median.shape), np.float32)
+    for first, block in blocks():
+        component[:, :, first : first + block.shape[1]] = np.einsum("rts,sc->crt", block, vectors[:, :n])
+    return xr.Dataset(
+        {
+            "component": (("component", *median.dims), component),
+            "coefficient": (("sample", "component"), vectors[:, :n]),
+        },
+        {"sensor": median["sensor"], "time": median["time"], **labels},
+        {"share": float(share[n - 1])},
+    )
+
+
+def bounds_of(part) -> dict[str, float]:
+    """Parameters whose interval is the shortest, and the bound of their prior that it lies next to."""
+    found = json.loads(part.attrs.get("calibration", '{"parameters": {}}'))["parameters"]
+    return {
+        name: row["bound"]
+        for name, row in found.items()
+        if (row["room"] or 0.0) < SHORT and row["near_bound"]
+    }
+
+
+def peak_rows(peaks) -> list[tuple]:
+    """Place, unit and quantiles of the largest values of a quantity."""
+    label = str(peaks.name).removesuffix("_peak").replace("_", " ")
+    values = np.reshape(peaks.transpose("quantile", ...).values, (peaks.sizes["quantile"], -1)).T
+    dim = next((d for d in peaks.dims if d != "quantile"), None)
+    names = [f"{label}, {dim.rpartition('_')[2]} {v}" for v in peaks[dim].values] if dim else [label]
+    texts = [interval_texts(row, peaks.attrs.get("units", "-")) for row in values]
+    return [(name, unit, *row) for name, (unit, row) in zip(names, texts, strict=True)]
+
+
+def strongest(part) -> tuple[float, float]:
+    """A window [s] around the largest measured acceleration."""
+    observed = part["observed_data"]["y"]
+    peak = float(observed["time"][int(np.abs(np.nan_to_num(observed.values)).max(axis=0).argmax())])
+    last = float(observed["time"][-1])
+    first = max(0.0, min(peak - 0.4 * ZOOM, last - ZOOM))
+    return first, min(last, first + ZOOM)
+
+
 def prints_of(measured: Measured) -> dict[str, str]:
     """What measured responses are recognised by."""
     return {
@@ -283,38 +366,14 @@ def prints_of(measured: Measured) -> dict[str, str]:
     }
 
 
-def check_gaps(config, measured) -> None:
-    """Likelihoods that compare neighbouring samples take no gaps."""
-    whole = [kind for kind in config.likelihood.kinds if not LIKELIHOODS[kind].takes_gaps]
-    if whole and measured.left_out:
-        raise ConfigError(
-            f"`likelihood.kinds` must not have {whole[0]} where samples are missing, got gaps of "
-            f"{measured.left_out}: it compares neighbouring samples. Compare a part "
-            "without gaps by `processing.compare`, leave out the sensor, or take "
-            f"{', '.join(kind for kind, entry in LIKELIHOODS.items() if entry.takes_gaps)}."
-        )
-
-
-def check_errors(config, priors, n_sensors: int) -> None:
-    """One positive value, or one for each sensor; the sigma that ABC takes from EXP must be one."""
-    likelihood = config.likelihood
+def check_likelihood(given: Setting, n_sensors: int, *several: Measured) -> None:
+    """Errors fit the sensors, and likelihoods the gaps; the sigma that ABC takes from EXP must be one."""
+    likelihood = given.config.likelihood
     for name, unit in ERRORS.items():
-        given = getattr(likelihood, name)
-        if isinstance(given, list) and len(given) != n_sensors:
-            raise ConfigError(
-                f"`likelihood.{name}` must be one value or one for each of the {n_sensors} sensors, got "
-                f"{len(given)}."
-            )
-        for value in given if isinstance(given, list) else [given]:
-            if isinstance(value, float) and value <= 0.0:
-                advice = f"Pass it in {unit}." if unit != "-" else "1 is that of TN, 2 that of EXP."
-                raise ConfigError(f"`likelihood.{name}` must be positive, got {value:g}. {advice}")
-            if isinstance(value, Parameter) and (middle := priors[value.prior].median) <= 0.0:
-                raise ConfigError(
-                    f"`likelihood.{name}` must be positive, got the prior `priors.{value.prior}` with the "
-                    f"median {middle:g}. Take a distribution of positive numbers."
-                )
-    if "ABC" in likelihood.kinds and config.processing.compare is not None:
+        advice = f"Pass it in {unit}." if unit != "-" else "1 is that of TN, 2 that of EXP."
+        value = getattr(likelihood, name)
+        check_positive(f"likelihood.{name}", value, given.priors, n_sensors, "sensors", advice)
+    if "ABC" in likelihood.kinds and given.config.processing.compare is not None:
         raise ConfigError(
             "`likelihood.kinds` must not have ABC with `processing.compare`, for it compares whole "
             "responses. Leave one of them out."
@@ -323,3 +382,12 @@ def check_errors(config, priors, n_sensors: int) -> None:
         raise ConfigError(
             "`likelihood.epsilon` must be given for ABC where each sensor has its own sigma, got none."
         )
+    whole = [kind for kind in likelihood.kinds if not LIKELIHOODS[kind].takes_gaps]
+    for measured in several:
+        if whole and measured.left_out:
+            raise ConfigError(
+                f"`likelihood.kinds` must not have {whole[0]} where samples are missing, got gaps of "
+                f"{measured.left_out}: it compares neighbouring samples. Compare a part "
+                "without gaps by `processing.compare`, leave out the sensor, or take "
+                f"{', '.join(kind for kind, entry in LIKELIHOODS.items() if entry.takes_gaps)}."
+            )

@@ -3,7 +3,7 @@
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pymc as pm
@@ -14,7 +14,7 @@ from pydantic import model_validator
 from pymc_features import plots
 from pymc_features._checks import listed
 from pymc_features.exceptions import ConfigError, ModalMatchWarning, PriorWarning
-from pymc_features.likelihoods import Likelihood
+from pymc_features.likelihoods import LIKELIHOODS, Likelihood
 from pymc_features.modal import ModalData, merge_setups
 from pymc_features.modal.files import read_modal
 from pymc_features.modal_features import ModalFeature, match_modes, modes
@@ -22,23 +22,29 @@ from pymc_features.modal_features.feature import checked_parameters
 from pymc_features.modal_features.identified import identified
 from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Vector, evaluated
-from pymc_features.update.config.messages import named_key, shown
+from pymc_features.update.config.messages import named_key, refuse, shown
 from pymc_features.update.config.sections import Names, Section, key, parameters_of
-from pymc_features.update.config.structure_sections import STRUCTURES
-from pymc_features.update.kinds.base import KindOfData, Setting, check_positive_priors
+from pymc_features.update.kinds.base import (
+    QUANTILES,
+    Figure,
+    KindOfData,
+    Setting,
+    Verdict,
+    check_positive,
+    drawn_to,
+    table,
+)
 from pymc_features.update.kinds.model import (
     MODAL_DRAWS,
     declare,
-    declares_as_prior,
-    each_draw,
+    draws_of_priors,
+    kinds_of,
     names_for,
     thinned,
 )
-from pymc_features.update.kinds.structure import modes_of
+from pymc_features.update.kinds.shapes import Points, mode_shapes, points_of, read_nodes
 from pymc_features.update.plausibility.findings import of_modes
-from pymc_features.update.presentation.mode_rows import COLUMNS, ModeRow, modes_verdict
-from pymc_features.update.presentation.nodes import Points, read_nodes
-from pymc_features.update.presentation.shown import Figure, table, write_figure
+from pymc_features.update.report.numbers import Scale, fixed
 
 MODAL = Likelihood(
     "MODAL",
@@ -50,8 +56,18 @@ MODAL = Likelihood(
 SCALE = "the name of a prior or a number, one or one for each mode"
 SPARE = 3  # modes beyond those identified, among which the likelihood may choose
 BEYOND = 1.2  # of the highest identified frequency: modes above it are not in tables
-MATCHED_DRAWS, SHAPE_DRAWS = 500, 100
-OF_RESPONSES = ("record", "processing", "likelihood")  # sections that mean nothing without [data]
+MATCHED_DRAWS = 500
+MOST = 0.5  # share of the draws without a partner that is said
+WIDTH = 3.29  # standard deviations between 5 and 95 % of a normal distribution
+ALONE = 0.95  # share of the draws in which a mode takes the same partner
+COLUMNS = ("mode", "measured", "5 %", "50 %", "95 %", "off", "MAC", "5-95 %", "partner")
+IDENTIFIED = ("identified mode", "frequency [Hz]", "standard deviation [Hz]", "damping [%]")
+MEANING = (
+    "Frequencies in Hz: as measured, and 5, 50 and 95 % of the mode of the model that each is matched with; "
+    "how far its median is off; the MAC of the two shapes with its interval; and the number of that mode, f1 "
+    "being the lowest. A partner is within three standard deviations of the frequency, and has a "
+    "MAC of at least 0.5."
+)
 
 
 class ModalSection(Section):
@@ -102,51 +118,56 @@ class ModalSection(Section):
         return parameters_of("modal", self)
 
 
-def with_damping(raw):
-    """The tables of a file; where only modes are compared a structure needs no damping, which moves none."""
-    if not isinstance(raw, dict) or "data" in raw:
-        return raw
-    structure = raw.get("structure")
-    if not isinstance(structure, dict) or "damping" in structure:
-        return raw
-    section = STRUCTURES.get(structure["type"]) if isinstance(structure.get("type"), str) else None
-    if section is None or not section.model_fields["damping"].is_required():
-        return raw
-    return raw | {"structure": structure | {"damping": {"type": "ModalDamping", "ratios": 0.0}}}
+class ModeRow(NamedTuple):
+    """One identified mode and its partners in the draws."""
+
+    name: str  # its number in the file, and its label
+    measured: float  # [Hz]
+    low: float  # of the model [Hz]: 5, 50 and 95 %
+    middle: float
+    high: float
+    mac: tuple[float, float, float]  # 5, 50 and 95 %; NaN without a shape
+    partner: int  # mode of the model that most draws take, 1 the lowest
+    share: float  # of the draws that take it
+    strangers: float  # share of the draws in which it has no partner
+
+    @property
+    def off(self) -> float:
+        """Median of the model over the measurement, less one."""
+        return self.middle / self.measured - 1.0
+
+    def deviation(self, sd: float) -> float:
+        """How many standard deviations the median of the model is off, if that of the measurement is `sd`."""
+        return (self.middle - self.measured) / float(np.hypot(sd, (self.high - self.low) / WIDTH))
+
+    @property
+    def has_partner(self) -> bool:
+        """Return whether the mode has a partner in most draws."""
+        return self.strangers <= MOST
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Texts of the row, in the order of `COLUMNS`."""
+        values, sd = (self.low, self.middle, self.high), (self.high - self.low) / WIDTH
+        low, middle, high = self.mac
+        of_shape = ("", "") if np.isnan(middle) else (f"{middle:.3f}", f"{low:.3f}-{high:.3f}")
+        partner = f"f{self.partner}" if self.has_partner else "none"
+        numbers = f"{self.measured:.4g}", *fixed(values, sd, Scale(1.0, "Hz")), f"{100.0 * self.off:+.2f} %"
+        return self.name, *numbers, *of_shape, partner
 
 
 @dataclass(frozen=True)
 class Modal(KindOfData):
-    """Identified modes, at the channels that are compared.
+    """Identified modes, at the channels that are compared."""
 
-    Attributes
-    ----------
-    asked : ModalSection
-        How they are compared.
-    data : ModalData
-        Those that are compared, with real shapes at the channels.
-    numbers : list of int
-        Of each in its file, 1 the first.
-    labels : list
-        Which mode each is of; `numbers` if they are all of different ones.
-    dofs : list of int
-        Degree of freedom of each channel.
-    n_modes : int
-        Modes of the structure to choose from.
-    points : Points or None
-        What is drawn; None where nobody knows where degrees of freedom are.
-    source : str
-        Where they come from.
-    """
-
-    asked: ModalSection
-    data: ModalData
-    numbers: list[int]
-    labels: list
-    dofs: list[int]
-    n_modes: int
-    points: Points | None
-    source: str
+    asked: ModalSection  # how they are compared
+    data: ModalData  # those that are compared, with real shapes at the channels
+    numbers: list[int]  # of each in its file, 1 the first
+    labels: list  # which mode each is of; `numbers` if they are all of different ones
+    dofs: list[int]  # degree of freedom of each channel
+    n_modes: int  # modes of the structure to choose from
+    nodes: Points | None  # what is drawn, of a file; None without one
+    source: str  # where they come from
 
     key, section = "modal", ModalSection
     own = (MODAL,)
@@ -155,31 +176,28 @@ class Modal(KindOfData):
     @classmethod
     def check_sections(cls, config):
         """Refuse what is said of responses where modes are all there is, and a tolerance beside modes."""
-        if config.data is not None:
-            if config.likelihood is not None and "ABC" in config.likelihood.kinds:
-                raise ConfigError(
-                    "`likelihood.kinds` must not have ABC with [modal], for a tolerance on responses says "
-                    "nothing of modes. Leave one of them out."
-                )
-            return
-        for name in OF_RESPONSES:
-            if name in config.model_fields_set:
-                raise ConfigError(
-                    f"`{name}` must be left out without [data], got it. Identified modes need none."
-                )
-        for name in ("natural_frequencies", "quantities"):
-            if name in config.report.model_fields_set:
-                raise ConfigError(
-                    f"`report.{name}` must be left out without [data], got it. The report "
-                    "has the frequencies of [modal], and no responses."
-                )
+        if config.data is None:
+            refuse(
+                config, "record processing likelihood", "without [data], got it. Identified modes need none."
+            )
+            words = "without [data], got it. The report has the frequencies of [modal], and no responses."
+            refuse(config, "report.natural_frequencies report.quantities", words)
+        elif config.likelihood is not None and "ABC" in config.likelihood.kinds:
+            raise ConfigError(
+                "`likelihood.kinds` must not have ABC with [modal], for a tolerance on responses says "
+                "nothing of modes. Leave one of them out."
+            )
 
     @classmethod
     def read(cls, given: Setting):
         """Read the modes of [modal]; it warns of what is suspicious about them."""
-        section, structure = given.config.modal, given.expected
-        check_positive_priors("modal", section, ("sigma_f", "sigma_phi"), given.priors)
-        data, source = read_files(section, given.folder)
+        section, folder, structure = given.config.modal, given.folder, given.expected
+        files = [section.file] if section.files is None else section.files
+        source = ", ".join(Path(file).name for file in files)
+        with named_key("modal", source="file"):
+            setups = [read_modal(folder / file, names=section.names) for file in files]
+        with named_key("modal", setups="files", channels="references"):
+            data = setups[0] if section.files is None else merge_setups(setups, section.references)
         numbers = list(range(1, len(data) + 1)) if section.modes is None else section.modes
         if len(set(numbers)) < len(numbers) or not all(1 <= number <= len(data) for number in numbers):
             raise ConfigError(
@@ -187,9 +205,7 @@ class Modal(KindOfData):
                 f"{shown(numbers)}. 1 is the first."
             )
         data = data.select([number - 1 for number in numbers])
-        labels = numbers if section.labels is None else section.labels
-        if section.labels is None and data.labels is not None:
-            labels = list(data.labels)
+        labels = section.labels or (numbers if data.labels is None else list(data.labels))
         if len(labels) != len(data):
             raise ConfigError(
                 f"`modal.labels` must have a name for each of the {len(data)} modes, got {len(labels)}."
@@ -198,20 +214,40 @@ class Modal(KindOfData):
         if labels is numbers:  # but for modes that were found twice
             found = identified(data)
             labels = [numbers[found.labels[g]] for g in found.groups.argmax(axis=0)]
-        check_scales(section, data, source, len(dict.fromkeys(map(str, labels))))
-        points = points_of(section, data, dofs, given.folder, structure)
-        n_modes = modes_to_choose_from(section, len(dict.fromkeys(map(str, labels))), structure)
+        own = cls.made(section, data, dofs, structure, source, folder, given.priors, numbers, labels)
         for sentence in of_modes(data.frequencies, given.prior):
             warnings.warn(sentence, PriorWarning, stacklevel=2)
-        return cls(section, data, numbers, labels, dofs, n_modes, points, source)
+        return own
 
     @classmethod
-    def compared(cls, section, data, dofs, structure, source) -> "Modal":
-        """Modes that are not read from a file, all different ones."""
-        numbers = list(range(1, len(data) + 1))
-        n_modes = modes_to_choose_from(section, len(data), structure)
-        points = points_of(section, data, dofs, Path(), structure)
-        return cls(section, data, numbers, numbers, dofs, n_modes, points, source)
+    def made(
+        cls, section, data, dofs, structure, source, folder=None, priors=None, numbers=None, labels=None
+    ) -> "Modal":
+        """Modes with their places; without numbers and labels they are all different ones."""
+        numbers = numbers or list(range(1, len(data) + 1))
+        labels = labels or numbers
+        n = len(dict.fromkeys(map(str, labels)))
+        if data.shapes is not None and section.sigma_phi is None:
+            raise ConfigError(
+                f"`modal.sigma_phi` must be given with the shapes of {source}, got none. Pass the scale of "
+                "the root of 1 - MAC, about 0.05, or set shapes = false."
+            )
+        advice, is_known = "0.01 is an error of one per cent.", data.frequency_sd is not None
+        check_positive("modal.sigma_f", section.sigma_f, priors, n, "modes", advice, can_be_zero=is_known)
+        check_positive("modal.sigma_phi", section.sigma_phi, priors, n, "modes", advice)
+        nodes = None
+        if data.shapes is not None and section.nodes is not None:
+            with named_key("modal.nodes"):
+                channels = dict(zip(data.channels, dofs, strict=True))
+                nodes = read_nodes(folder / section.nodes, channels, structure.n_dof)
+        most = structure.n_dof if structure.has_storeys else structure.n_modes
+        n_modes = min(most, n + SPARE) if section.n_modes is None else section.n_modes
+        if not n <= n_modes <= most:
+            raise ConfigError(
+                f"`modal.n_modes` must be from the {n} modes identified to the {most} of the structure, got "
+                f"{n_modes}. Leave it out, or modes by `modal.modes`."
+            )
+        return cls(section, data, numbers, labels, dofs, n_modes, nodes, source)
 
     @property
     def names(self) -> list[str]:
@@ -238,6 +274,11 @@ class Modal(KindOfData):
         """Up to some more than the highest of them."""
         return 0.0, BEYOND * self.data.frequencies.max()
 
+    @property
+    def placed(self):
+        """Take the places of the channels."""
+        return dict(zip(self.data.channels or [], self.dofs, strict=True))
+
     def prints(self):
         """Return fingerprints of frequencies and shapes."""
         data = self.data
@@ -254,46 +295,30 @@ class Modal(KindOfData):
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         """Add the modes; where residuals of responses decide the width, as a factor of the prior."""
-        asked = self.asked
+        asked, labels = self.asked, [str(label) for label in self.labels]
         with named_key("modal", n_modes="modal.n_modes"):
             found = modes(structure, self.n_modes, sensors=self.dofs or None)
-            scales = [
+            sigma_f, sigma_phi = (
                 None if value is None else pt.as_tensor_variable(evaluated(value, values))
-                for value in (asked.sigma_f, asked.sigma_phi)
-            ]
-            labels = [str(label) for label in self.labels]
-            if declares_as_prior(likelihood):
-                data = identified(self.data, labels)
-                terms = ModalFeature.dist(*checked_parameters(found, data, *scales, asked.density))
-                pm.Potential("modal", pm.logp(terms, data.values).sum())
-                return
-            ModalFeature(
-                "modal",
-                found,
-                observed=self.data,
-                sigma_f=scales[0],
-                sigma_phi=scales[1],
-                density=asked.density,
-                labels=labels,
+                for value in self.parameters(likelihood)
             )
+            if likelihood in LIKELIHOODS and LIKELIHOODS[likelihood].calibrates:
+                data = identified(self.data, labels)
+                terms = checked_parameters(found, data, sigma_f, sigma_phi, asked.density)
+                pm.Potential("modal", pm.logp(ModalFeature.dist(*terms), data.values).sum())
+                return
+            scales = {"sigma_f": sigma_f, "sigma_phi": sigma_phi, "density": asked.density}
+            ModalFeature("modal", found, observed=self.data, labels=labels, **scales)
 
     def predict(self, problem, likelihood, model, idata):
         """Which mode of the model each is matched with."""
         return {"matched": self.matched(problem, idata["posterior"].to_dataset())}
 
-    def shared(self, problem, parts):
-        """What was identified, and shapes of draws, which are not kept: other nodes are no other draws."""
-        found = {
-            f"{kind}/shapes": self.shapes(problem, part["posterior"].to_dataset())
-            for kind, part in parts.items()
-        }
-        return found | {"identified": self.identified_modes()}
-
     def matched(self, problem, posterior: xr.Dataset, **limits) -> xr.Dataset:
         """Which mode of the model each is matched with, of some draws; see `match_modes`.
 
-        The dimension is `identified`, with the numbers of the modes in their file. `limits` are those of
-        partners.
+        The dimension is `identified`, with the numbers of the modes in their file, and what each is called as
+        `label`; `partner` is that of each in most draws, 0 if it has none. `limits` are those of partners.
         """
         model = declare(problem.with_data(self), MODAL.name)
         found = match_modes(thinned(posterior, MATCHED_DRAWS), name="modal", model=model, **limits)
@@ -301,44 +326,9 @@ class Modal(KindOfData):
         order = sorted(range(len(labels)), key=lambda k: labels.index(labels[k]))
         found = found.rename(mode="identified").assign_coords(identified=[self.numbers[k] for k in order])
         found = found.sel(identified=self.numbers)
-        return found.assign(has_partner=found["has_partner"].astype(np.int8))
-
-    def shapes(self, problem, posterior: xr.Dataset) -> xr.Dataset:
-        """Frequencies [Hz] and shapes of the model at some draws; those without a structure are left out.
-
-        Returns
-        -------
-        Dataset
-            `frequency` (sample, mode); of identified shapes also `at_channels` (sample, mode, channel), and
-            `at_points` (sample, mode, point) of what is drawn.
-        """
-        columns = {"frequency": [], "at_channels": [], "at_points": []}
-        for _, found in each_draw(problem, posterior, SHAPE_DRAWS, lambda s: modes_of(s, self.n_modes)):
-            rows = found.mode_shapes.T[: self.n_modes]
-            columns["frequency"].append(found.natural_frequencies[: self.n_modes])
-            columns["at_channels"].append(rows[:, self.dofs])
-            if self.points is not None:
-                columns["at_points"].append(self.points.entries(rows))
-        dims = {"frequency": (), "at_channels": ("channel",), "at_points": ("point",)}
-        wanted = {name for name, values in columns.items() if values and np.size(values)}
-        found = {
-            name: (("sample", "mode", *dims[name]), np.array(columns[name]))
-            for name in dims
-            if name in wanted
-        }
-        return xr.Dataset(found, {"mode": 1 + np.arange(self.n_modes)})
-
-    def identified_modes(self) -> xr.Dataset:
-        """What was identified: frequency, its standard deviation [Hz], and shape (identified, channel)."""
-        data = self.data
-        found = {"frequency": ("identified", data.frequencies, {"units": "Hz"})}
-        if data.frequency_sd is not None:
-            found["frequency_sd"] = "identified", data.frequency_sd, {"units": "Hz"}
-        coords = {"identified": self.numbers}
-        if data.shapes is not None:
-            found["shape"] = ("identified", "channel"), data.shapes
-            coords |= {"channel": list(data.channels), "dof": ("channel", self.dofs)}
-        return xr.Dataset(found, coords, {"source": self.source})
+        found = found.assign(has_partner=found["has_partner"].astype(np.int8))
+        partners = np.array([row.partner if row.has_partner else 0 for row in self.rows(found)])
+        return found.assign(partner=("identified", partners), label=("identified", self.names))
 
     def rows(self, matched) -> list[ModeRow]:
         """Every identified mode under one likelihood, from the group `matched`."""
@@ -347,26 +337,25 @@ class Modal(KindOfData):
             one = matched.isel(identified=k)
             values, counts = np.unique(one["model_mode"].values, return_counts=True)
             frequency, mac = (
-                tuple(map(float, np.quantile(one[key].values, [0.05, 0.5, 0.95])))
-                for key in ("frequency", "mac")
+                np.quantile(one[key].values, QUANTILES).tolist() for key in ("frequency", "mac")
             )
-            found.append(
-                ModeRow(
-                    name,
-                    float(self.data.frequencies[k]),
-                    *frequency,
-                    mac,
-                    1 + int(values[counts.argmax()]),
-                    float(counts.max() / counts.sum()),
-                    1.0 - float(one["has_partner"].mean()),
-                )
-            )
+            most, share = 1 + int(values[counts.argmax()]), float(counts.max() / counts.sum())
+            strangers = 1.0 - float(one["has_partner"].mean())
+            measured = float(self.data.frequencies[k])
+            found.append(ModeRow(name, measured, *frequency, tuple(mac), most, share, strangers))
         return found
 
-    @property
-    def placed(self):
-        """Take the places of the channels."""
-        return dict(zip(self.data.channels or [], self.dofs, strict=True))
+    def shared(self, problem):
+        """What was identified: frequency, its standard deviation [Hz], and shape (identified, channel)."""
+        data, coords = self.data, {"identified": self.numbers}
+        found = {"frequency": ("identified", data.frequencies, {"units": "Hz"})}
+        if data.frequency_sd is not None:
+            found["frequency_sd"] = "identified", data.frequency_sd, {"units": "Hz"}
+        if data.shapes is not None:
+            found["shape"] = ("identified", "channel"), data.shapes
+            coords |= {"channel": list(data.channels), "dof": ("channel", self.dofs)}
+        attrs = {"source": self.source, "n_modes": self.n_modes}
+        return {"identified": xr.Dataset(found, coords, attrs)}
 
     def told(self):
         """What they are, and where they come from."""
@@ -377,11 +366,12 @@ class Modal(KindOfData):
 
         Partners are judged by their shapes: frequencies are what is to be updated.
         """
-        draws = expected(problem.with_data(self))
+        names = names_for(problem.with_data(self), MODAL.name)
+        draws = draws_of_priors(problem, names, MODAL_DRAWS)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ModalMatchWarning)  # the sentences say it
-            rows = self.rows(self.matched(problem, draws, deviations=np.inf))
-        found = self.shapes(problem, draws)
+            matched = self.matched(problem, draws, deviations=np.inf)
+        rows = self.rows(matched)
         cells = [row.cells for row in rows]
         yield table("modes", "modes", "Identified modes [Hz], and the model under the priors", COLUMNS, cells)
         yield from modes_verdict(rows).sentences
@@ -389,97 +379,111 @@ class Modal(KindOfData):
         if outside:
             named = ", ".join(f"{row.name} ({row.measured:.4g} Hz)" for row in outside)
             yield f"Outside of what the priors expect (5 to 95 %): {named}."
-        if "at_channels" in found:
-            draw = draw_shapes if "at_points" in found else draw_mac
-            write_figure(draw(self, found, rows), path)
-            yield f"wrote {path}"
+        part = {"mode_shapes": mode_shapes(problem, draws), "matched": matched}
+        if figures := self.figures_of(problem, part, ""):
+            yield drawn_to(path, figures[-1].draw)
 
-    def tables(self, problem):
-        """Frequencies with standard deviations, damping, and the places of channels."""
+    def tables(self, problem, result):
+        """Frequencies with standard deviations, damping, the places of channels; and those of the model."""
         data, n = self.data, len(self.data)
         columns = [self.names, [f"{f:.4g}" for f in data.frequencies]]
         for values, factor in ((data.frequency_sd, 1.0), (data.damping_ratios, 100.0)):
             numbers = np.full(n, np.nan) if values is None else factor * values
             columns.append(["" if np.isnan(value) else f"{value:.2g}" for value in numbers])
         at = ", ".join(f"{name} ({dof})" for name, dof in self.placed.items())
-        sentences = [
+        told = [
             f"There are {self.sentence}.",
             f"The channels and their degrees of freedom are {at}." if at else "",
             f"Each is matched with one of the {self.n_modes} lowest modes of the structure.",
         ]
-        if self.dofs and self.points is None and self in problem.data:
-            sentences.append("Name a file with its nodes as `modal.nodes` to see the shapes drawn.")
-        header = ("identified mode", "frequency [Hz]", "standard deviation [Hz]", "damping [%]")
-        rows, note = list(zip(*columns, strict=True)), " ".join(filter(None, sentences))
-        return [table("identified", "data", "Identified modes", header, rows, note)]
+        if self.dofs and not self.is_drawn(problem) and self in problem.data:
+            told.append("Name a file with its nodes as `modal.nodes` to see the shapes drawn.")
+        rows, note = list(zip(*columns, strict=True)), " ".join(filter(None, told))
+        kinds = {kind: self.rows(result[f"{kind}/matched"]) for kind in kinds_of(result)}
+        cells = [(kind, *row.cells) for kind, of_kind in kinds.items() for row in of_kind]
+        return [
+            table("identified", "data", "Identified modes", IDENTIFIED, rows, note),
+            table("modes", "modes", "Identified modes [Hz]", ("likelihood", *COLUMNS), cells, MEANING),
+        ]
+
+    def is_drawn(self, problem) -> bool:
+        """Whether it is known where the shapes are: at storeys, or nodes of a file."""
+        return self.nodes is not None or problem.structure.has_storeys
 
     def figures_of(self, problem, part, kind):
         """The MAC matrix and the shapes."""
-        shapes, rows = part["shapes"].to_dataset(), self.rows(part["matched"].to_dataset())
-        found = []
-        if "at_channels" in shapes:
-            found.append(
-                Figure(
-                    f"{kind}_mac",
-                    f"{kind}: modal assurance criterion of the identified shapes and those of the model, "
-                    "median and 5-95 % interval of the draws. Framed: the modes that are matched.",
-                    lambda: draw_mac(self, shapes, rows),
-                )
+        if not self.dofs:
+            return []
+        points = points_of(problem)
+        at = points.of(self.dofs)
+        kept = {"mode": slice(self.n_modes)}
+        shapes, frequencies = (part["mode_shapes"][key].isel(kept).values for key in ("shape", "frequency"))
+        partners = [row.partner - 1 for row in self.rows(part["matched"])]
+        found = [
+            Figure(
+                f"{kind}_mac",
+                f"{kind}: modal assurance criterion of the identified shapes and those of the model, "
+                "median and 5-95 % interval of the draws. Framed: the modes that are matched.",
+                lambda: plots.plot_mac(self.data, shapes[..., at], frequencies, partners=partners),
             )
-        if "at_points" in shapes:
+        ]
+        if self.is_drawn(problem):
+            places = {"sensors": at, "nodes": points.nodes, "partners": partners}
             found.append(
                 Figure(
                     f"{kind}_shapes",
                     f"{kind}: identified shapes (dots) on those of the model they are matched with, each "
                     "draw scaled by the factor that brings it closest.",
-                    lambda: draw_shapes(self, shapes, rows),
+                    lambda: plots.plot_mode_shapes(self.data, shapes, frequencies, **places),
                 )
             )
         return found
-
-    def drawn_of(self, problem, part):
-        """The partner of each in most draws, 0 if it has none, and what it is called."""
-        matched = part["matched"].to_dataset()
-        rows = self.rows(matched)
-        partners = np.array([row.partner if row.has_partner else 0 for row in rows])
-        labels = [row.name for row in rows]
-        return {"matched": matched.assign(partner=("identified", partners), label=("identified", labels))}
 
     def verdict(self, problem, result, kind):
         """Whether each has a partner."""
         return modes_verdict(self.rows(result[f"{kind}/matched"]))
 
 
-def expected(problem) -> xr.Dataset:
-    """Draws of the priors of what decides on modes."""
-    values = {
-        name: (("chain", "draw"), problem.priors[name].draw(MODAL_DRAWS, k)[None])
-        for k, name in enumerate(names_for(problem, MODAL.name))
-    }
-    return xr.Dataset(values, {"chain": [0], "draw": np.arange(MODAL_DRAWS)})
-
-
-def read_files(section, folder) -> tuple[ModalData, str]:
-    """The modes of the file, or of all set-ups together, and what they are called."""
-    files = [section.file] if section.files is None else section.files
-    with named_key("modal", source="file"):
-        setups = [read_modal(folder / file, names=section.names) for file in files]
-    with named_key("modal", setups="files", channels="references"):
-        data = setups[0] if section.files is None else merge_setups(setups, section.references)
-    return data, ", ".join(Path(file).name for file in files)
+def modes_verdict(rows: list[ModeRow]) -> Verdict:
+    """What to think of the fit of identified modes, and whether all have a partner."""
+    strangers = [row for row in rows if not row.has_partner]
+    partners, n, told = [row for row in rows if row.has_partner], len(rows), []
+    for row in strangers:
+        of_shape = "" if np.isnan(row.mac[1]) else f", MAC {row.mac[1]:.2f}"
+        told.append(
+            f"The model has no partner for the identified mode {row.name} ({row.measured:.4g} Hz): the best "
+            f"that is left is at {row.middle:.4g} Hz{of_shape}."
+        )
+    if partners:
+        some = f"{len(partners)} of {n} identified modes" if strangers else f"all {n} identified modes"
+        off = max(partners, key=lambda row: abs(row.off))
+        sentence = (
+            f"The model has a partner for {'the identified mode' if n == 1 else some}: the median frequency "
+            f"is off by at most {100.0 * abs(off.off):.2g} % (mode {off.name})"
+        )
+        if shaped := [row for row in partners if not np.isnan(row.mac[1])]:
+            worst = min(shaped, key=lambda row: row.mac[1])
+            sentence += f", the MAC is at least {worst.mac[1]:.3f} (mode {worst.name})"
+        told.append(f"{sentence}.")
+    for row in rows:
+        if row.share < ALONE:
+            told.append(
+                f"The identified mode {row.name} takes f{row.partner} in {100.0 * row.share:.0f} % of the "
+                "draws, and others in the rest: they change places, or the data cannot tell them apart."
+            )
+    return Verdict(told, not strangers)
 
 
 def at_channels(section, data, structure, source) -> tuple[ModalData, list[int]]:
-    """The modes at the channels that are compared, and their places; frequencies alone if there are none."""
+    """The modes at the channels that are compared, in their sense, and their places; or frequencies alone."""
+    known = ("frequency_sd", "damping_ratios", "damping_sd", "labels")
     if data.shapes is None or not section.shapes:
         for name in ("channels", "scale", "sigma_phi", "nodes"):
             if getattr(section, name) is not None:
                 raise ConfigError(
                     f"`modal.{name}` must be left out without shapes, got it. {source} has frequencies alone."
                 )
-        names = "frequency_sd", "damping_ratios", "damping_sd", "labels"
-        known = {name: getattr(data, name) for name in names}
-        return ModalData(data.frequencies, **known), []
+        return ModalData(data.frequencies, **{name: getattr(data, name) for name in known}), []
     n = structure.n_dof
     if section.channels is None:
         raise ConfigError(
@@ -499,13 +503,7 @@ def at_channels(section, data, structure, source) -> tuple[ModalData, list[int]]
         )
     with named_key("modal"):
         data = data.select(channels=list(section.channels))
-    return in_their_sense(data, section.scale), dofs
-
-
-def in_their_sense(data, scale) -> ModalData:
-    """Entries times the factors of their channels."""
-    if scale is None:
-        return data
+    scale = section.scale or {}
     for name, factor in scale.items():
         if name not in data.channels or factor == 0.0:
             raise ConfigError(
@@ -514,74 +512,5 @@ def in_their_sense(data, scale) -> ModalData:
             )
     factors = np.array([scale.get(name, 1.0) for name in data.channels])
     sd = None if data.shape_sd is None else data.shape_sd * np.abs(factors)
-    names = "frequency_sd", "damping_ratios", "damping_sd", "labels", "name"
-    kept = {name: getattr(data, name) for name in names}
-    return ModalData(data.frequencies, data.shapes * factors, data.channels, shape_sd=sd, **kept)
-
-
-def check_scales(section, data, source, n) -> None:
-    """One positive value, or one for each of n modes; zero where frequencies have standard deviations."""
-    if data.shapes is not None and section.sigma_phi is None:
-        raise ConfigError(
-            f"`modal.sigma_phi` must be given with the shapes of {source}, got none. Pass the scale of the "
-            "root of 1 - MAC, about 0.05, or set shapes = false."
-        )
-    for name in ("sigma_f", "sigma_phi"):
-        given = getattr(section, name)
-        if isinstance(given, list) and len(given) != n:
-            raise ConfigError(
-                f"`modal.{name}` must be one value or one for each of the {n} modes, got {len(given)}."
-            )
-        least = "at least zero" if name == "sigma_f" and data.frequency_sd is not None else "positive"
-        for value in given if isinstance(given, list) else [given]:
-            if isinstance(value, float) and (value < 0.0 or (value == 0.0 and least == "positive")):
-                raise ConfigError(
-                    f"`modal.{name}` must be {least}, got {value:g}. 0.01 is an error of one per cent."
-                )
-
-
-def points_of(section, data, dofs, folder, structure) -> Points | None:
-    """What is drawn: nodes of a file, or storeys."""
-    if data.shapes is None:
-        return None
-    if section.nodes is not None:
-        with named_key("modal.nodes"):
-            return read_nodes(
-                folder / section.nodes, dict(zip(data.channels, dofs, strict=True)), structure.n_dof
-            )
-    return Points(np.arange(structure.n_dof), None) if structure.has_storeys else None
-
-
-def modes_to_choose_from(section, identified: int, structure) -> int:
-    """Number of modes of the structure: some more than were identified."""
-    most = structure.n_dof if structure.has_storeys else structure.n_modes
-    wanted = min(most, identified + SPARE) if section.n_modes is None else section.n_modes
-    if not identified <= wanted <= most:
-        raise ConfigError(
-            f"`modal.n_modes` must be from the {identified} modes identified to the {most} of the structure, "
-            f"got {wanted}. Leave it out, or modes by `modal.modes`."
-        )
-    return wanted
-
-
-def partners_of(rows: list[ModeRow]) -> list[int]:
-    """Mode of the model that each is matched with, 0 the lowest."""
-    return [row.partner - 1 for row in rows]
-
-
-def draw_mac(modal: Modal, shapes, rows):
-    """Figure of the MAC matrix."""
-    values = shapes["at_channels"].values, shapes["frequency"].values
-    return plots.plot_mac(modal.data, *values, partners=partners_of(rows))
-
-
-def draw_shapes(modal: Modal, shapes, rows):
-    """Figure of the shapes along the structure."""
-    values = shapes["at_points"].values, shapes["frequency"].values
-    return plots.plot_mode_shapes(
-        modal.data,
-        *values,
-        sensors=modal.points.of(modal.dofs),
-        nodes=modal.points.nodes,
-        partners=partners_of(rows),
-    )
+    kept = {name: getattr(data, name) for name in (*known, "name")}
+    return ModalData(data.frequencies, data.shapes * factors, data.channels, shape_sd=sd, **kept), dofs

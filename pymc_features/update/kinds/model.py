@@ -1,16 +1,20 @@
-"""The PyMC model of a problem under one likelihood, and structures at draws of it."""
+"""The PyMC model of a problem under one likelihood, and what structures are at draws of it."""
 
 import numpy as np
 import pymc as pm
 import xarray as xr
 
 from pymc_features.exceptions import ConfigError
-from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.config.entries import priors_in
 from pymc_features.update.config.messages import named_key
-from pymc_features.update.kinds.structure import modes_of
+from pymc_features.update.config.structures import modes_of
 
 MODAL_DRAWS = 500
+
+
+def kinds_of(result) -> list[str]:
+    """Likelihoods in a result."""
+    return [name for name, part in result.children.items() if "posterior" in part.children]
 
 
 def names_for(problem, likelihood: str) -> list[str]:
@@ -22,21 +26,10 @@ def names_for(problem, likelihood: str) -> list[str]:
 
 
 def declare(problem, likelihood: str, tolerance: float | None = None) -> pm.Model:
-    """Return the model of a problem under one likelihood.
+    """The model of a problem under one likelihood of its first kind of data; `tolerance` is delta of ABC.
 
-    Parameters
-    ----------
-    problem : Problem
-    likelihood : str
-        Of those of the first kind of data.
-    tolerance : float, optional
-        delta of ABC [m^2/s^4].
-
-    Returns
-    -------
-    pymc.Model
-        With the priors of the structure and of the errors, and all data: responses are `y` (sensor, time),
-        identified modes `modal`.
+    It has the priors of the structure and of the errors, and all data: responses are `y` (sensor, time),
+    identified modes `modal`.
     """
     with pm.Model() as model:
         values = {name: problem.priors[name].declare(name) for name in names_for(problem, likelihood)}
@@ -47,9 +40,12 @@ def declare(problem, likelihood: str, tolerance: float | None = None) -> pm.Mode
     return model
 
 
-def declares_as_prior(likelihood: str) -> bool:
-    """Whether residuals of responses decide the width: all else is then known beforehand."""
-    return likelihood in LIKELIHOODS and bool(LIKELIHOODS[likelihood].calibrates)
+def draws_of_priors(problem, names, n: int) -> xr.Dataset:
+    """Draws (chain, draw) of some priors."""
+    columns = {
+        name: (("chain", "draw"), problem.priors[name].draw(n, k)[None]) for k, name in enumerate(names)
+    }
+    return xr.Dataset(columns, coords={"chain": [0], "draw": np.arange(n)})
 
 
 def thinned(posterior: xr.Dataset, draws: int) -> xr.Dataset:
@@ -59,20 +55,14 @@ def thinned(posterior: xr.Dataset, draws: int) -> xr.Dataset:
     return posterior.isel(draw=(np.arange(wanted) * n / wanted).astype(int))
 
 
-def each_draw(problem, posterior: xr.Dataset, draws: int, of_structure):
-    """Place (chain, draw) and `of_structure(structure)` of some draws, those without a structure left out.
-
-    Raises
-    ------
-    ConfigError
-        If none has one.
-    """
-    few = thinned(posterior[problem.structure.names], draws)
-    columns = {name: few[name].transpose("chain", "draw").values for name in problem.structure.names}
+def modes_of_draws(problem, draws: xr.Dataset, n_modes: int | None):
+    """Place (chain, draw) and modes of each draw, those without a structure left out."""
+    columns = {name: draws[name].transpose("chain", "draw").values for name in problem.structure.names}
     is_any = False
-    for place in np.ndindex(few.sizes["chain"], few.sizes["draw"]):
+    for place in np.ndindex(draws.sizes["chain"], draws.sizes["draw"]):
         try:
-            found = of_structure(problem.structure(**{name: float(c[place]) for name, c in columns.items()}))
+            structure = problem.structure(**{name: float(c[place]) for name, c in columns.items()})
+            found = modes_of(structure, n_modes)
         except (ValueError, ArithmeticError, np.linalg.LinAlgError):
             continue
         is_any = True
@@ -86,9 +76,7 @@ def frequencies(problem, posterior: xr.Dataset) -> xr.Dataset:
     few = thinned(posterior[problem.structure.names], MODAL_DRAWS)
     modes = {
         place: (found.natural_frequencies, found.damping_ratios)
-        for place, found in each_draw(
-            problem, posterior, MODAL_DRAWS, lambda s: modes_of(s, problem.structure.n_modes)
-        )
+        for place, found in modes_of_draws(problem, few, problem.structure.n_modes)
     }
     n_modes = next(iter(modes.values()))[0].size
     found = np.full((2, few.sizes["chain"], few.sizes["draw"], n_modes), np.nan)

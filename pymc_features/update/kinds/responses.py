@@ -1,32 +1,49 @@
 """Measured responses to a measured motion of the base: [data], [record], [processing], [likelihood]."""
 
+import warnings
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 import xarray as xr
 
 from pymc_features import plots
-from pymc_features.exceptions import ConfigError
+from pymc_features.exceptions import ConfigError, PredictionWarning
 from pymc_features.plots.histories import draw_expected
+from pymc_features.prediction import posterior_response
+from pymc_features.simulators.excitation import refined_request, refinement
+from pymc_features.simulators.quantities import rows_of
+from pymc_features.simulators.simulate import respond
 from pymc_features.update.config.sections import MEASURED, Data
-from pymc_features.update.kinds.base import Setting
-from pymc_features.update.kinds.channels import base_and_sensors, checked_dofs, read_measured
-from pymc_features.update.kinds.coarseness import coarse_sampling, coarseness
-from pymc_features.update.kinds.expected import expected_bands
-from pymc_features.update.kinds.histories import Histories, check_errors, check_gaps
-from pymc_features.update.kinds.residuals import verdict_of_responses
-from pymc_features.update.plausibility.findings import mode_rows, scales
-from pymc_features.update.presentation.numbers import pretty
-from pymc_features.update.presentation.shown import (
-    SENSORS,
+from pymc_features.update.kinds.base import (
+    QUANTILES,
     Figure,
-    processing_steps,
-    sensor_rows,
+    Setting,
+    Verdict,
+    channels_table,
+    drawn_to,
     table,
-    write_figure,
 )
+from pymc_features.update.kinds.channels import Measured, checked_dofs, read_measured
+from pymc_features.update.kinds.histories import DRAWS, Histories, check_likelihood
+from pymc_features.update.plausibility.findings import mode_rows, scales
+from pymc_features.update.plausibility.transfer import prior_bands
+from pymc_features.update.report.numbers import pretty
 
 GAINS = ("sensor", "gain [-]", "lag [ms]", "coherence [-]")
 EXPECTED = ("mode", "priors [Hz]", "data [Hz]", "priors [%]", "damping of data [%]", "seen by")
 PROMINENCE = 2.0  # of a peak of the gain over the valleys beside it, a factor
+FINEST = 8  # refinement of the record beside which that of the model is judged
+TOO_COARSE = 1.0  # difference over the half-width of the 90 % bands that is more than the fit may claim
+UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation, unless it is noise
+WORSE = 0.9  # the same, of a model with which nothing is gained
+NARROW, DENSE = 0.1, 0.3  # white noise has less than this share of its energy in a tenth of the frequencies
+RINGS = 0.4  # share of the error's energy near natural frequencies
+ROUGH = 0.15  # rms error over measured rms that is worth a word where it is structured
+FOLLOWS = 0.6  # coherence of the error with the base: noise has it in one of 20,000 frequencies
+BESIDE = 0.1  # relative distance within which a peak is that of a natural frequency
+SEGMENTS = 8  # of a record, for coherences
+DAMPING = (5e-4, 0.2)  # ratios that structures have
 
 
 class Responses(Histories):
@@ -64,7 +81,7 @@ class Responses(Histories):
         """The channels, processed, and where they are on the structure."""
         dofs = checked_dofs(given.config, given.expected.n_dof)
         measured = read_measured(given.config, given.folder, given.prior)
-        check_likelihood(given, dofs, [measured])
+        check_likelihood(given, len(dofs), measured)
         return cls(given.config, measured, dofs)
 
     @property
@@ -78,51 +95,19 @@ class Responses(Histories):
         return f"{MEASURED[self.quantity].replace('velocity', 'velocitie')}s"
 
     @property
+    def measures(self):
+        """Absolute or relative motion, and its unit."""
+        relative = {"relative": "relative to the base", "inter": "those of storeys"}
+        how = relative.get(self.quantity.split("_")[0], "absolute")
+        return f"{self.plural.capitalize()} are {how} and in {pretty(self.measured.units)}."
+
+    @property
     def band(self):
         """What the processing leaves [Hz]."""
         kept, nyquist = self.config.processing.band_pass, 0.5 / self.measured.step
         if kept is None:
             return 0.0, nyquist
         return kept.low or 0.0, min(kept.high or nyquist, nyquist)
-
-    def bands(self, problem, likelihood, model, idata):
-        """Add how coarse the base is sampled (sensor,)."""
-        found = super().bands(problem, likelihood, model, idata)
-        ratios = coarse_sampling(self, problem, idata["posterior"], found["response"])
-        return found.assign(coarseness=("sensor", ratios))
-
-    def shared(self, problem, parts):
-        """Motion of the base, measured responses and their gain."""
-        measured = self.measured
-        gain, peaks = measured_gain(measured)
-        given = problem.config.report.natural_frequencies
-        if given is None and problem.modal is not None:
-            given = problem.modal.data.frequencies
-        data = xr.Dataset(
-            {
-                "ground_acceleration": ("record_time", measured.record.acceleration, {"units": "m/s^2"}),
-                "measured": measured.channels.drop_attrs().assign_attrs(units=measured.units),
-                "gain": gain,
-                "peak_frequency": ("peak", peaks, {"units": "Hz"}),
-            },
-            coords={"record_time": measured.record.time},
-            attrs={
-                "record": measured.record.name,
-                "source": measured.source,
-                "interpolation": measured.record.interpolation,
-                "refinement": self.request(problem)[0].factor,
-            },
-        )
-        if given is not None:
-            data["given_frequency"] = ("given", np.array(given, dtype=np.float64), {"units": "Hz"})
-        return {"data": data}
-
-    @property
-    def measures(self):
-        """Absolute or relative motion, and its unit."""
-        relative = {"relative": "relative to the base", "inter": "those of storeys"}
-        how = relative.get(self.quantity.split("_")[0], "absolute")
-        return f"{self.plural.capitalize()} are {how} and in {pretty(self.measured.units)}."
 
     @property
     def placed(self):
@@ -132,53 +117,126 @@ class Responses(Histories):
     @property
     def is_checked(self):
         """Whether floors follow the base somewhere, or a resonance was seen."""
-        return self.measured.checked.is_any
+        return self.measured.is_checked
+
+    def bands(self, problem, likelihood, model, idata):
+        """Add what refining the base changes, over the half-width of the 90 % bands, (sensor,)."""
+        found, posterior = super().bands(problem, likelihood, model, idata), idata["posterior"]
+        values = {name: float(posterior[name].mean()) for name in problem.structure.names}
+        low, high = (
+            found["response"].sel(quantile=[0.05, 0.95]).transpose("quantile", "sensor", "time").values
+        )
+        _, change, _ = self.refined(problem, values)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = change / (0.5 * np.sqrt(((high - low) ** 2).mean(axis=1)))
+        return found.assign(coarseness=("sensor", ratios))
+
+    def refined(self, problem, values, frequencies=None) -> tuple[float, np.ndarray, np.ndarray]:
+        """What a refinement of the base by eight changes of the responses at some values of the priors.
+
+        A record that is taken as straight lines is compared with one that is band-limited. Where the
+        frequencies (draw, mode) of the priors are known, no model is built to refine the record as in it.
+        Returned are the highest natural frequency that the record excites over the sampling rate of the base
+        [-], and root mean squares of the difference and of the response (sensor,).
+        """
+        structure, record = problem.structure(**values), self.measured.record
+        if frequencies is None:
+            asked, outputs = self.request(problem)
+        else:
+            asked, outputs = self.as_recorded(problem, structure)
+            if record.interpolation == "linear":
+                asked = refined_request(structure, record, asked)
+            else:
+                asked = asked._replace(factor=refinement(frequencies, record.dt))
+        rows = rows_of(structure, asked.quantity, asked, outputs).picked
+        used = respond(structure, record, asked, rows)[:, self.measured.window]
+        smooth = replace(record, interpolation="band-limited")
+        fine = respond(structure, smooth, asked._replace(factor=FINEST), rows)[:, self.measured.window]
+        modes = structure.modes(asked.n_modes) if structure.family == "linear" else structure.modes()
+        shares = modes.natural_frequencies * record.dt
+        change, size = (np.sqrt((rows**2).mean(axis=1)) for rows in (used - fine, fine))
+        return float(shares[shares <= 1.0].max(initial=shares[0])), change, size
+
+    def shared(self, problem):
+        """Motion of the base, measured responses and their gain."""
+        measured = self.measured
+        gain, peaks = measured_gain(measured)
+        given = problem.config.report.natural_frequencies
+        if given is None and problem.modal is not None:
+            given = problem.modal.data.frequencies
+        columns = {
+            "ground_acceleration": ("record_time", measured.record.acceleration, {"units": "m/s^2"}),
+            "measured": measured.with_units,
+            "gain": gain,
+            "peak_frequency": ("peak", peaks, {"units": "Hz"}),
+        }
+        if given is not None:
+            columns["given_frequency"] = ("given", np.array(given, dtype=np.float64), {"units": "Hz"})
+        attrs = {
+            "record": measured.record.name,
+            "source": measured.source,
+            "interpolation": measured.record.interpolation,
+            "refinement": self.request(problem)[0].factor,
+        }
+        return {"data": xr.Dataset(columns, {"record_time": measured.record.time}, attrs)}
 
     def told(self):
         """Say where the channels come from, and what the check found."""
         measured = self.measured
         yield f"data: {measured.source}; base: {measured.record}"
-        yield f"channels: {measured.checked.sentence}"
-        compared = measured.checked.compared
-        yield f"priors: {compared.checked}. {scales(compared)}"
-        rows = mode_rows(compared)
-        yield table("expected", "data", "Priors (5 to 95 %) and data", EXPECTED, rows)
+        yield f"channels: {measured.checked}"
+        yield f"priors: {measured.compared.checked}. {scales(measured.compared)}"
+        yield table("expected", "data", "Priors (5 to 95 %) and data", EXPECTED, mode_rows(measured.compared))
         if measured.left_out:
             yield f"left out as gaps: {measured.left_out}"
 
     def check(self, problem, path):
         """Draw priors and channels; gains, and how coarse the base is sampled."""
-        measured = self.measured
-        priors, prior = problem.priors, measured.checked.compared.prior
+        measured, priors = self.measured, problem.priors
         units = {name: problem.unit(name) for name in priors}
         densities = {name: one.density for name, one in priors.items()}
-        bands = expected_bands(self, problem)
-        write_figure(draw_expected(base_and_sensors(measured), bands, densities, units), path)
-        if measured.checked.gains is not None:
-            yield gains_table(measured.checked.gains)
+        bands = self.expected_bands(problem)
+        wrote = drawn_to(path, lambda: draw_expected(measured.with_base, bands, densities, units))
+        if measured.gains is not None:
+            yield gains_table(measured.gains)
         middle = {name: priors[name].median for name in problem.structure.names}
-        yield coarseness(self, problem, middle, prior.frequencies).sentence
-        yield f"wrote {path}"
+        share, change, size = self.refined(problem, middle, measured.compared.prior.frequencies)
+        yield (
+            f"The base is sampled {1.0 / share:.3g} times in a period of the highest mode used; "
+            f"refining it {FINEST} times changes responses by {100.0 * max(change / size):.2g} %."
+        )
+        yield wrote
 
-    def tables(self, problem):
-        """The channels, and how they compare with the base."""
-        measured, channels = self.measured, self.measured.channels
-        left_out = (
-            "Peaks, root mean squares and errors are those of the samples that are left."
-            if measured.left_out
-            else ""
+    def expected_bands(self, problem) -> np.ndarray:
+        """Quantiles (quantile, sensor, time) of the responses that the priors expect at the sensors."""
+        measured, prior = self.measured, self.measured.compared.prior
+        record, window = measured.record, measured.window
+        if prior.is_linear:
+            found = prior_bands(record.acceleration, record.dt, prior, self.dofs, self.quantity)
+            return found[..., :: round(measured.step / record.dt)][..., window]
+        draws = xr.Dataset({n: (("chain", "draw"), values[None]) for n, values in prior.values.items()})
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PredictionWarning)
+            settings = {"sensors": self.dofs, "dt": measured.step, "draws": DRAWS, "quantiles": QUANTILES}
+            found = posterior_response(draws, problem.structure, record, self.quantity, **settings)
+        return found[self.quantity].transpose("quantile", ..., "time").values[..., window]
+
+    def tables(self, problem, result):
+        """Add the channels, and how they compare with the base."""
+        measured = self.measured
+        left_out = "Peaks, root mean squares and errors are those of the samples that are left."
+        more = (
+            f", of the base at {measured.record.dt:.6g} s. The channels were {measured.checked.rstrip('.')}. "
+            f"{left_out if measured.left_out else ''}"
         )
-        note = (
-            f"The {', '.join(processing_steps(measured.source, self.config.processing))}. There are "
-            f"{channels.sizes['time']} samples at {measured.step:.6g} s, of the base at "
-            f"{measured.record.dt:.6g} s. The channels were {measured.checked.sentence.rstrip('.')}. "
-            f"{left_out}"
-        )
-        names = ["base", *channels["sensor"].values]
-        histories = [measured.record.acceleration, *channels.values]
-        rows = sensor_rows(names, ["", *self.dofs], histories)
-        gains = [] if measured.checked.gains is None else [gains_table(measured.checked.gains)]
-        return [table("channels", "data", "Channels", SENSORS, rows, note.strip()), *gains]
+        of_base = {"more": more, "base": measured.record.acceleration}
+        shown = [
+            channels_table(
+                self.config, measured.source, self.dofs, measured.channels, measured.step, **of_base
+            )
+        ]
+        shown += [] if measured.gains is None else [gains_table(measured.gains)]
+        return [*super().tables(problem, result), *shown]
 
     def figures(self, problem, result):
         """The motion of the base, and the gain of the sensors against it."""
@@ -198,25 +256,37 @@ class Responses(Histories):
         ]
 
     def verdict(self, problem, result, kind):
-        """Whether the median response explains what was measured."""
-        return verdict_of_responses(self, result, kind)
-
-
-def check_likelihood(given: Setting, dofs, measured) -> None:
-    """Errors fit the sensors, and likelihoods the gaps."""
-    check_errors(given.config, given.priors, len(dofs))
-    for one in measured:
-        check_gaps(given.config, one)
+        """Whether the median response explains what was measured, and where it does not."""
+        part = result[kind]
+        modes = part["modal"].to_dataset().median(["chain", "draw"])
+        frequencies, ratios = (modes[name].values for name in ("natural_frequency", "damping_ratio"))
+        found = residuals_of(self.measured, self.band, part, frequencies)
+        sensors = part["bands"]["sensor"].values.astype(str)
+        structured = found.densest > DENSE
+        bad = (found.relative > UNEXPLAINED) & structured
+        told = [headline(sensors, found.relative, bad)]
+        if (found.relative > WORSE).all() and (found.turned < found.relative).all():
+            told.append(
+                "With the opposite sign of the base the same model comes closer: the base, or all sensors, "
+                "may be inverted. Try scale = { ... = -1.0 } in [data]."
+            )
+        else:
+            rough, peaks = structured & (found.relative > ROUGH), result["data"]["peak_frequency"].values
+            told += errors_of_model(found, sensors, rough, peaks, frequencies, self.band)
+        told += odd_modes(frequencies, ratios, self.band)
+        of_sampling = []
+        if "coarseness" in part["bands"]:
+            of_sampling = too_coarse(part["bands"]["coarseness"].values, sensors, self.measured.record)
+        return Verdict([*told, *of_sampling], not bad.any() and not of_sampling)
 
 
 def gains_table(gains) -> dict:
     """Gain, lag [ms] and coherence of each sensor against the base; dashes where it is unknown."""
     lag = np.round(1e3 * gains["lag"], 2) + 0.0  # no -0.00
     columns = gains["sensor"], gains["gain"], lag, gains["coherence"]
-    cells = zip(*(column.values for column in columns), strict=True)
     rows = [
         (name, "-", "-", "-") if np.isnan(gain) else (name, f"{gain:.3f}", f"{lag:.2f}", f"{coherence:.3f}")
-        for name, gain, lag, coherence in cells
+        for name, gain, lag, coherence in zip(*(column.values for column in columns), strict=True)
     ]
     return table("gains", "data", "Sensors against the base", GAINS, rows)
 
@@ -242,3 +312,143 @@ def measured_gain(measured) -> tuple[xr.DataArray, np.ndarray]:
     peaks = peaks[(power[peaks] > 1e-4 * power.max()) & (total[peaks] > 0.0)]
     dims, coords = ("sensor", "frequency"), {"sensor": channels["sensor"].values, "frequency": frequency}
     return xr.DataArray(gain, coords, dims), frequency[peaks]
+
+
+# ---- what the median response leaves over ----
+
+
+class Residuals(NamedTuple):
+    """What the median response of a likelihood leaves over."""
+
+    # (sensor,) its rms over that of the measured response, and the same for the response to the inverted base
+    relative: np.ndarray
+    turned: np.ndarray  # (sensor,)
+    frequency: np.ndarray  # (frequency,) [Hz]
+    # (sensor, frequency) its coherence with the base, and its power over that of the measured response [-]
+    coherence: np.ndarray
+    left: np.ndarray  # (sensor, frequency)
+    densest: np.ndarray  # (sensor,) largest share of its energy in a tenth of the frequencies of the data
+    near: np.ndarray  # (sensor, mode) share of its energy near the natural frequencies of the model
+
+
+def residuals_of(data: Measured, band, part, frequencies) -> Residuals:
+    """Spectra of what the median response leaves over, and of the base."""
+    from scipy import signal  # a second to import
+
+    measured = part["observed_data"]["y"].values
+    gaps = np.isnan(measured)  # zero in both: nothing is left over there
+    measured = np.where(gaps, 0.0, measured)
+    response = np.where(gaps, 0.0, part["bands"]["response"].sel(quantile=0.5).values)
+    total, size = np.sqrt((measured**2).sum(axis=1)), measured.shape[1]
+    error = measured - response
+    if not error.any():  # a response without any error has no spectrum of it
+        error = np.finfo(float).eps * measured
+    fs = 1.0 / data.step
+    rough = {"fs": fs, "nperseg": min(size, max(16, size // SEGMENTS))}
+    with np.errstate(divide="ignore", invalid="ignore"):  # of frequencies without any motion
+        frequency, coherence = signal.coherence(data.base[:size], error, **rough)
+    fine = min(size, max(64, size // 3))
+    at, power = signal.welch(error, fs=fs, nperseg=fine, nfft=4 * fine)
+    close = np.maximum(BESIDE * frequencies, 2.0 * fs / fine)[:, None]
+    beside = np.abs(at - frequencies[:, None]) < close
+    beside &= np.cumsum(beside, axis=0) == 1  # each frequency counts once
+    return Residuals(
+        np.sqrt((error**2).sum(axis=1)) / total,
+        np.sqrt(((measured + response) ** 2).sum(axis=1)) / total,
+        frequency,
+        np.nan_to_num(coherence),
+        signal.welch(error, **rough)[1] / signal.welch(measured, **rough)[1],
+        densest_share(error, data.step, band),
+        power @ beside.T / power.sum(axis=1, keepdims=True),
+    )
+
+
+def densest_share(error, step, band) -> np.ndarray:
+    """Largest share (sensor,) of the energy of errors (sensor, time) in a tenth of a band."""
+    from scipy import signal  # a second to import
+
+    size = error.shape[1]
+    frequency, spectrum = signal.welch(error, 1.0 / step, nperseg=min(size, max(16, size // SEGMENTS)))
+    inside = np.sort(spectrum[:, (frequency >= band[0]) & (frequency <= band[1])], axis=1)
+    some = max(1, round(NARROW * inside.shape[1]))
+    with np.errstate(divide="ignore", invalid="ignore"):  # of no error at all
+        return np.nan_to_num(inside[:, -some:].sum(axis=1) / inside.sum(axis=1))
+
+
+def accounted_for(sensors, relative) -> str:
+    """Share of the mean square of each sensor that is explained, by its relative error."""
+    shares = 100.0 * np.maximum(0.0, 1.0 - np.square(relative))
+    return ", ".join(f"{share:.0f} % of {name}" for name, share in zip(sensors, shares, strict=True))
+
+
+def headline(sensors, relative, bad) -> str:
+    """One sentence on all sensors."""
+    named = accounted_for(sensors, relative)
+    if bad.any():
+        worst = ", ".join(np.asarray(sensors)[bad])
+        return f"This model does not explain {worst}: it accounts for {named} (share of the mean square)."
+    if (relative > UNEXPLAINED).any():
+        return f"The model explains the measurements but for noise: it accounts for {named}."
+    return f"The model explains the measurements: it accounts for {named} (share of the mean square)."
+
+
+def errors_of_model(found: Residuals, sensors, rough, peaks, frequencies, band):
+    """Say where errors are no noise and at which mode they ring, and which peaks the model lacks.
+
+    A peak of the measured gain is one where the model has no natural frequency, and the error follows the
+    base.
+    """
+    if rough.any():
+        near = found.near[rough].mean(axis=0)
+        mode = int(near.argmax())
+        where = f", most of it at mode {mode + 1} ({frequencies[mode]:.3g} Hz)" if near.sum() > RINGS else ""
+        yield (
+            f"The error at {', '.join(sensors[rough])} is no noise but an error of the model{where}: "
+            "stiffness or damping may change during the motion, as where springs yield, or the model lacks a "
+            "part."
+        )
+    alone = []
+    for peak in peaks:
+        inside = np.abs(found.frequency - peak) <= 1.5 * found.frequency[1]
+        follows = (found.coherence[:, inside] > FOLLOWS) & (found.left[:, inside] > 0.5)
+        is_known = (np.abs(frequencies - peak) < BESIDE * peak).any()
+        if band[0] < peak < band[1] and not is_known and follows.any():
+            alone.append(f"{peak:.3g}")
+    if alone:
+        yield (
+            f"The measurements have a peak at {', '.join(alone)} Hz, where the model has no natural "
+            "frequency: a storey, a direction or a support may be missing."
+        )
+
+
+def odd_modes(frequencies, ratios, band):
+    """Say which natural frequencies the data do not show, and which damping structures do not have."""
+    outside = [f"f{k + 1} ({f:.3g} Hz)" for k, f in enumerate(frequencies) if not band[0] <= f <= band[1]]
+    if outside:
+        more = f" and {len(outside) - 5} more" if len(outside) > 5 else ""
+        yield (
+            f"{', '.join(outside[:5])}{more} {'lies' if len(outside) == 1 else 'lie'} outside the band of "
+            f"the data, {band[0]:.3g} to {band[1]:.3g} Hz: what is said of them is extrapolated from the "
+            "others."
+        )
+    odd = np.flatnonzero((ratios < DAMPING[0]) | (ratios > DAMPING[1]))
+    if odd.size:
+        named = ", ".join(f"{100 * ratios[k]:.3g} % at mode {k + 1}" for k in odd[:5])
+        yield (
+            f"The damping is beyond what structures have: {named}. It may stand for something that the model "
+            "lacks."
+        )
+
+
+def too_coarse(ratios, sensors, record) -> list[str]:
+    """A sentence where the sampling of the base changes a response by more than its bands are wide."""
+    worst = int(np.nan_to_num(ratios).argmax())
+    if not ratios[worst] > TOO_COARSE:
+        return []
+    is_linear = record.interpolation == "linear"
+    advice = 'Set interpolation = "band-limited".' if is_linear else "Measure the base at a higher rate."
+    return [
+        f"The base is sampled too coarsely: refining it {FINEST} times changes the response of "
+        f"{sensors[worst]} by {ratios[worst]:.2g} times the half-width of its 90 % bands. Do not use these "
+        f"results. {advice}"
+    ]

@@ -7,8 +7,15 @@ import numpy as np
 
 from pymc_features.update.plausibility.prior_modes import PriorModes
 from pymc_features.update.plausibility.resonances import Resonance, resonances, spectra_of
-from pymc_features.update.plausibility.scale import SAME, Scale, factor_of, scale_of
-from pymc_features.update.plausibility.sensors import Placement, placement
+from pymc_features.update.plausibility.transfer import (
+    MOST_DRAWS,
+    SAME,
+    Placement,
+    Scale,
+    factor_of,
+    placement,
+    scale_of,
+)
 
 BEYOND = 3.5  # standard deviations of the prior beyond which it excludes a peak
 CLOSEST = 0.02  # relative distance that excludes nothing, however narrow the prior is
@@ -35,93 +42,66 @@ UNITS = {
 
 
 class Compared(NamedTuple):
-    """What the data say beside the priors.
+    """What the data say beside the priors."""
 
-    Attributes
-    ----------
-    sentences : list of str
-        What is wrong, the cause first; empty if nothing was found.
-    checked : str
-        What was compared, or why it was not.
-    peaks : dict
-        Modes, 0 the first, to the resonances that were taken for them.
-    others : list of Resonance
-        Resonances that are none of these.
-    first : float or None
-        First natural frequency that the data show [Hz]; None if they do not.
-    is_contradicted : bool
-        Whether frequencies of the data are outside of what the priors allow.
-    scale : Scale or None
-        The factor between both; None of a record without resonances.
-    placed : Placement or None
-        How sensors fit their places; None where the priors cannot tell.
-    prior, step, duration
-        As they were given.
-    """
-
-    sentences: list[str]
-    checked: str
-    peaks: dict[int, Resonance]
-    others: list[Resonance]
-    first: float | None
-    is_contradicted: bool
-    scale: Scale | None
-    placed: Placement | None
-    prior: PriorModes
+    sentences: list[str]  # what is wrong, the cause first; empty if nothing was found
+    checked: str  # what was compared, or why it was not
+    peaks: dict[int, Resonance]  # modes, 0 the first, to the resonances that were taken for them
+    others: list[Resonance]  # resonances that are none of these
+    first: float | None  # first natural frequency that the data show [Hz]; None if they do not
+    is_contradicted: bool  # whether frequencies of the data are outside of what the priors allow
+    scale: Scale | None  # the factor between both; None of a record without resonances
+    placed: Placement | None  # how sensors fit their places; None where the priors cannot tell
+    prior: PriorModes  # as they were given
     step: float
     duration: float
 
 
-class ModeRow(NamedTuple):
-    """A natural frequency in words: of the priors 5 to 95 %, and of the data; empty where there is none."""
+def of_data(channels, step, prior: PriorModes, dofs, quantity, *, duration, pass_band) -> Compared:
+    """Compare channels (sensor, time) as they were measured, the base first, with what the priors expect.
 
-    name: str
-    prior: str
-    data: str
-    prior_damping: str
-    data_damping: str
-    sensors: str
-
-
-def mode_rows(compared: Compared) -> list[ModeRow]:
-    """Modes that the priors expect beside those of the data, and what the data show besides."""
-    prior, peaks = compared.prior, compared.peaks
-    number = min(prior.frequencies.shape[1], max(NEXT, 1 + max(peaks, default=0)))
-    rows = []
-    for k in range(number):
-        low, high = np.quantile(prior.ratios[:, k], [0.05, 0.95])
-        expected = to_from(*prior.range_of(k)), to_from(100.0 * low, 100.0 * high)
-        rows.append(((peaks.get(k)), f"f{k + 1}", *expected))
-    rows += [(peak, "", "", "") for peak in compared.others]
-    return [
-        ModeRow(name, of_f, "", of_damping, "", "")
-        if peak is None
-        else ModeRow(
-            name,
-            of_f,
-            f"{peak.frequency:.4g}",
-            of_damping,
-            to_from(100.0 * peak.damping[0], 100.0 * peak.damping[-1], 2),
-            ", ".join(peak.sensors),
-        )
-        for peak, name, of_f, of_damping in rows
-    ]
-
-
-def to_from(low, high, digits=3) -> str:
-    """A range for a table."""
-    low, high = f"{low:.{digits}g}", f"{high:.{digits}g}"
-    return low if low == high else f"{low} to {high}"
+    The sensors measure a `quantity` at the degrees of freedom `dofs` every `step` [s]; `duration` is that of
+    the part that is compared [s], and `pass_band` are the frequencies [Hz] that filters leave.
+    """
+    spectra, few = spectra_of(channels, step), prior.few(MOST_DRAWS)
+    found, scale, placed, first = resonances(spectra), None, None, None
+    shown, is_contradicted, told, peaks = np.median(prior.frequencies, axis=0), False, [], {}
+    if found:
+        scale = scale_of(spectra, few, dofs, quantity)
+        peaks = matched(scale.factor * few.frequencies[scale.draw], found)
+    if peaks:
+        mode = min(peaks)
+        better = 1.0 - scale.explained < BETTER * (1.0 - scale.as_drawn)
+        is_contradicted = better and is_outside(prior, mode, peaks[mode].frequency)
+        if is_contradicted:
+            told.append(contradiction(prior, peaks, step))
+            shown = scale.factor * shown
+        else:
+            placed = placement(spectra, prior, dofs, quantity, scale.factor)
+        first = scale.factor * few.frequencies[scale.draw, 0] if mode else peaks[0].frequency
+    told += too_little(duration, step, first, shown, len(dofs), pass_band)
+    if peaks and not is_contradicted:
+        told += odd_damping(prior, peaks, mode)
+    checked = "not compared with the priors: no resonance stands out of the sensors' motion"
+    if peaks:
+        named = ", ".join(f"f{k + 1}" for k in peaks)
+        checked = f"compared with the priors: {named} of the data beside theirs"
+    elif found:
+        checked = "not compared with the priors: no factor brings their frequencies to the peaks of the data"
+    others = [one for one in found if one not in peaks.values()]
+    of_both = scale, placed, prior, step, duration
+    return Compared(told, checked, peaks, others, first, is_contradicted, *of_both)
 
 
-def scales(compared: Compared) -> str:
-    """One sentence on what the record can resolve, and how far the structure would move."""
-    first = compared.first or compared.prior.first
-    return (
-        f"{compared.duration:.4g} s are {compared.duration * first:.3g} periods of the first mode, with "
-        f"{1.0 / (first * compared.step):.3g} samples in each; above {0.5 / compared.step:.4g} Hz nothing is "
-        f"seen. An acceleration of 1 g would move the structure by {compared.prior.deflection:.3g} m."
-    )
+def of_modes(identified, prior: PriorModes) -> list[str]:
+    """What the priors exclude of identified natural frequencies (m,) [Hz]."""
+    few = prior.few(MOST_DRAWS).frequencies
+    factor, draw = factor_of(np.asarray(identified), few)
+    found = [Resonance(float(f), 0.0, (0.0, 0.0, 0.0), (), 0.0) for f in identified]
+    peaks = matched(factor * few[draw], found)
+    if not peaks or not is_outside(prior, min(peaks), peaks[min(peaks)].frequency):
+        return []
+    return [contradiction(prior, peaks, None)]
 
 
 def of_priors(prior: PriorModes, units: Mapping[str, str]) -> list[str]:
@@ -148,59 +128,38 @@ def of_priors(prior: PriorModes, units: Mapping[str, str]) -> list[str]:
     return found
 
 
-def of_data(channels, step, prior: PriorModes, dofs, quantity, *, duration, pass_band) -> Compared:
-    """Compare channels with what the priors expect.
+def mode_rows(compared: Compared) -> list[tuple[str, ...]]:
+    """Modes that the priors expect beside those of the data, and what the data show besides.
 
-    Parameters
-    ----------
-    channels : DataArray (sensor, time)
-        As they were measured, the base first; NaN in gaps.
-    step : float
-        [s]
-    prior : PriorModes
-    dofs : list of int
-        Degree of freedom of each sensor.
-    quantity : str
-        What the sensors measure.
-    duration : float
-        Of the part that is compared [s].
-    pass_band : tuple of two floats
-        Frequencies [Hz] that filters leave; (0, inf) without filters.
+    Name; frequency [Hz] of the priors, 5 to 95 %, and of the data; damping [%] of both; and which sensors
+    show it. Empty where there is none.
     """
-    spectra = spectra_of(channels, step)
-    found, scale, placed = resonances(spectra), None, None
-    peaks, is_contradicted, sentences = {}, False, []
-    if found:
-        at_sensors = prior.at_sensors(dofs, quantity)
-        scale = scale_of(spectra, prior.frequencies, prior.ratios, at_sensors, quantity)
-        peaks = matched(scale.factor * prior.frequencies[scale.draw], found)
-    if peaks:
-        mode = min(peaks)
-        is_contradicted = excludes(prior, mode, peaks[mode].frequency, scale)
-        if is_contradicted:
-            sentences.append(contradiction(prior, peaks, step))
-        else:
-            placed = placement(spectra, prior, dofs, quantity, scale.factor)
-    first = peaks[0].frequency if 0 in peaks else None
-    if first is None and peaks:
-        first = float(scale.factor * prior.frequencies[scale.draw, 0])
-    expected = np.median(prior.frequencies, axis=0)
-    shown = expected * (scale.factor if is_contradicted else 1.0)
-    sentences += too_short(duration, *((first, "data") if first else (shown[0], "priors")))
-    sentences += too_coarse(step, shown, len(spectra.names), pass_band[1])
-    sentences += outside_pass_band(pass_band, first or shown[0])
-    if peaks and not is_contradicted:
-        sentences += odd_damping(prior, peaks, mode)
-    if peaks:
-        named = ", ".join(f"f{k + 1}" for k in peaks)
-        checked = f"compared with the priors: {named} of the data beside theirs"
-    elif found:
-        checked = "not compared with the priors: no factor brings their frequencies to the peaks of the data"
-    else:
-        checked = "not compared with the priors: no resonance stands out of the sensors' motion"
-    others = [one for one in found if one not in peaks.values()]
-    return Compared(
-        sentences, checked, peaks, others, first, is_contradicted, scale, placed, prior, step, duration
+
+    def to_from(low, high, digits=3):
+        low, high = f"{low:.{digits}g}", f"{high:.{digits}g}"
+        return low if low == high else f"{low} to {high}"
+
+    prior, peaks, rows = compared.prior, compared.peaks, []
+    for k in range(min(prior.frequencies.shape[1], max(NEXT, 1 + max(peaks, default=0)))):
+        of_damping = to_from(*(100.0 * np.quantile(prior.ratios[:, k], [0.05, 0.95])))
+        rows.append((peaks.get(k), f"f{k + 1}", to_from(*prior.range_of(k)), of_damping))
+    found = []
+    for peak, name, of_f, of_damping in rows + [(peak, "", "", "") for peak in compared.others]:
+        data, damping, sensors = "", "", ""
+        if peak is not None:
+            data, sensors = f"{peak.frequency:.4g}", ", ".join(peak.sensors)
+            damping = to_from(100.0 * peak.damping[0], 100.0 * peak.damping[-1], 2)
+        found.append((name, of_f, data, of_damping, damping, sensors))
+    return found
+
+
+def scales(compared: Compared) -> str:
+    """One sentence on what the record can resolve, and how far the structure would move."""
+    first = compared.first or compared.prior.first
+    return (
+        f"{compared.duration:.4g} s are {compared.duration * first:.3g} periods of the first mode, with "
+        f"{1.0 / (first * compared.step):.3g} samples in each; above {0.5 / compared.step:.4g} Hz nothing is "
+        f"seen. An acceleration of 1 g would move the structure by {compared.prior.deflection:.3g} m."
     )
 
 
@@ -215,21 +174,6 @@ def matched(frequencies, found) -> dict[int, Resonance]:
     return dict(sorted(pairs.items()))
 
 
-def of_modes(identified, prior: PriorModes) -> list[str]:
-    """What the priors exclude of identified natural frequencies (m,) [Hz]."""
-    factor, draw = factor_of(np.asarray(identified), prior.frequencies)
-    found = [Resonance(float(f), 0.0, (0.0, 0.0, 0.0), (), 0.0) for f in identified]
-    peaks = matched(factor * prior.frequencies[draw], found)
-    if not peaks or not is_outside(prior, min(peaks), peaks[min(peaks)].frequency):
-        return []
-    return [contradiction(prior, peaks, None)]
-
-
-def excludes(prior, mode, peak, scale) -> bool:
-    """Whether the priors leave no room for a peak, and a factor would bring them much closer to the data."""
-    return is_outside(prior, mode, peak) and 1.0 - scale.explained.mean() < BETTER * (1.0 - scale.as_drawn)
-
-
 def is_outside(prior, mode, peak) -> bool:
     """Whether a peak is none of the frequencies that the priors allow a mode."""
     low, middle, high = np.log(np.quantile(prior.frequencies[:, mode], [0.05, 0.5, 0.95]))
@@ -237,7 +181,7 @@ def is_outside(prior, mode, peak) -> bool:
     if not prior.is_linear:
         away = max(0.0, away) if away > np.log(SOFTENED) else away
     spread = max(CLOSEST, BEYOND * 0.5 * (high - low) / 1.645)
-    return abs(away) > spread
+    return bool(abs(away) > spread)
 
 
 def contradiction(prior, peaks, step) -> str:
@@ -263,65 +207,47 @@ def contradiction(prior, peaks, step) -> str:
             )
     names = {name: power for name, power in prior.exponents().items() if power > 0.02}
     if max(factor, 1.0 / factor) > MANY:
-        number = f"{max(factor, 1.0 / factor):.2g}"
-        which = "large" if factor > 1.0 else "small"
+        number, which = f"{max(factor, 1.0 / factor):.2g}", "large" if factor > 1.0 else "small"
         start = f"{start}: stiffness over mass is {number} times too {which}, which no usual unit explains"
     if not names:
         return f"{start}. No prior moves it: check mass and stiffness."
     times = factor ** (-0.5 / sum(names.values()))
-    many = len(names) > 1
-    return (
-        f"{start}. {listing(names)}, which scale{'' if many else 's'} it, would have to be {times:.2g} times "
-        f"as large{', all together' if many else ''}."
-    )
+    scale, all_of_them = ("scale", ", all together") if len(names) > 1 else ("scales", "")
+    which = f"{listing(names)}, which {scale} it,"
+    return f"{start}. {which} would have to be {times:.2g} times as large{all_of_them}."
 
 
-def too_short(duration, first, source) -> list[str]:
-    """A record of a few periods."""
-    if not duration * first < PERIODS:
-        return []
-    return [
-        f"The record lasts {duration:.3g} s, {duration * first:.2g} periods of the first mode "
-        f"({first:.3g} Hz by the {source}): it tells next to nothing of it. Take {PERIODS / first:.3g} s or "
-        "more."
-    ]
+def too_little(duration, step, first, frequencies, n_sensors, pass_band):
+    """Yield what a record cannot tell: it is too short, sampled too rarely, or filters leave no mode.
 
-
-def too_coarse(step, frequencies, n_sensors, top) -> list[str]:
-    """Modes that are sampled too rarely to be seen, or lie above half the sampling rate."""
-    number = min(NEXT, max(2, n_sensors), len(frequencies))
-    samples = {k: 1.0 / (f * step) for k, f in enumerate(frequencies[:number]) if f < top or k == 0}
+    `first` is the first natural frequency of the data [Hz], None if they show none; `frequencies` are those
+    that are expected.
+    """
+    lowest, source = (first, "data") if first else (frequencies[0], "priors")
+    if duration * lowest < PERIODS:
+        yield (
+            f"The record lasts {duration:.3g} s, {duration * lowest:.2g} periods of the first mode "
+            f"({lowest:.3g} Hz by the {source}): it tells next to nothing of it. Take {PERIODS / lowest:.3g} "
+            "s or more."
+        )
+    low, top = pass_band
+    used = frequencies[: min(NEXT, max(2, n_sensors))]
+    samples = {k: 1.0 / (f * step) for k, f in enumerate(used) if f < top or k == 0}
     few = {k: each for k, each in samples.items() if each < (SAMPLES if k == 0 else FEWEST)}
-    if not few:
-        return []
-    rare = [
-        f"{each:.2g} times in a period of {mode_name(k, frequencies)}"
-        for k, each in few.items()
-        if each > 2.0
-    ]
-    above = [mode_name(k, frequencies) for k, each in few.items() if each <= 2.0]
-    if above:
+    names = {k: f"f{k + 1} ({frequencies[k]:.3g} Hz)" for k in few}
+    rare = [f"{each:.2g} times in a period of {names[k]}" for k, each in few.items() if each > 2.0]
+    if above := [names[k] for k, each in few.items() if each <= 2.0]:
         rare.append(f"{listing(above)} {'lies' if len(above) == 1 else 'lie'} above half of that")
-    return [
-        f"The data are sampled at {1.0 / step:.4g} Hz: {', and '.join(rare)}. That tells next to nothing of "
-        f"{'it' if len(few) == 1 else 'them'}. Take files of a higher rate."
-    ]
-
-
-def mode_name(k, frequencies) -> str:
-    """A mode by its number and its frequency."""
-    return f"f{k + 1} ({frequencies[k]:.3g} Hz)"
-
-
-def outside_pass_band(pass_band, first) -> list[str]:
-    """Filters that leave nothing of the first mode."""
-    low, high = pass_band
-    if high > first:
-        return []
-    return [
-        f"`processing.band_pass` leaves {low:.3g} to {high:.3g} Hz, below the first mode ({first:.3g} Hz): "
-        "no resonance is left to learn from. Raise `high`."
-    ]
+    if few:
+        yield (
+            f"The data are sampled at {1.0 / step:.4g} Hz: {', and '.join(rare)}. That tells next to nothing "
+            f"of {'it' if len(few) == 1 else 'them'}. Take files of a higher rate."
+        )
+    if top <= lowest:
+        yield (
+            f"`processing.band_pass` leaves {low:.3g} to {top:.3g} Hz, below the first mode ({lowest:.3g} "
+            "Hz): no resonance is left to learn from. Raise `high`."
+        )
 
 
 def odd_damping(prior, peaks, mode) -> list[str]:
@@ -344,5 +270,5 @@ def between(low, high) -> str:
 
 def listing(names) -> str:
     """Names with `and` before the last."""
-    names = list(names)
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last

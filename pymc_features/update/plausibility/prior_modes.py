@@ -11,36 +11,28 @@ GRAVITY = 9.81  # [m/s^2]
 
 
 class PriorModes(NamedTuple):
-    """What draws of the priors have in common, d draws and m modes.
+    """What draws of the priors have in common, d draws and m modes."""
 
-    Attributes
-    ----------
-    values : dict
-        Names of the parameters to their draws (d,).
-    frequencies, ratios : array (d, m)
-        Natural frequencies [Hz] and damping ratios [-].
-    shares : array (d, n, m)
-        Displacement of each degree of freedom under a unit displacement of the base, mode by mode [-].
-    mass : float
-        That the base moves, at the medians [kg].
-    deflection : float
-        Largest displacement under an acceleration of 1 g across the base, at the medians [m].
-    is_linear : bool
-        Whether springs keep their stiffness.
-    """
-
-    values: dict[str, np.ndarray]
-    frequencies: np.ndarray
-    ratios: np.ndarray
+    values: dict[str, np.ndarray]  # names of the parameters to their draws (d,)
+    frequencies: np.ndarray  # (d, m) natural frequencies [Hz] and damping ratios [-]
+    ratios: np.ndarray  # (d, m)
+    # (d, n, m) displacement of each degree of freedom under a unit displacement of the base, mode by mode [-]
     shares: np.ndarray
-    mass: float
-    deflection: float
-    is_linear: bool
+    mass: float  # that the base moves, at the medians [kg]
+    deflection: float  # largest displacement under an acceleration of 1 g across the base, at the medians [m]
+    is_linear: bool  # whether springs keep their stiffness
 
     @property
     def first(self) -> float:
         """Median of the first natural frequency [Hz]."""
         return float(np.median(self.frequencies[:, 0]))
+
+    def few(self, n: int) -> "PriorModes":
+        """At most n of the draws, evenly spaced."""
+        size = len(self.frequencies)
+        some = np.linspace(0, size - 1, min(n, size)).astype(int)
+        rows = {name: getattr(self, name)[some] for name in ("frequencies", "ratios", "shares")}
+        return self._replace(values={name: draws[some] for name, draws in self.values.items()}, **rows)
 
     def range_of(self, mode: int) -> tuple[float, float]:
         """5 and 95 % of a natural frequency [Hz], mode 0 the first."""
@@ -67,16 +59,8 @@ def prior_modes(
 ) -> PriorModes:
     """Modes of structures whose parameters are drawn from their priors; impossible ones are left out.
 
-    Parameters
-    ----------
-    structure : callable
-        Values by name to a structure of numbers.
-    draws : dict
-        Names to functions (n, seed) that return n draws.
-    at_medians : Structure
-        The one at the medians of the priors.
-    modes_of : callable
-        A structure to its `Modes`.
+    `structure` makes one of values by name, `at_medians` is the one at the medians of the priors, `modes_of`
+    has the `Modes` of a structure; `draws` are names to functions (n, seed) that return n draws.
     """
     n = DRAWS if at_medians.n_dof <= LARGE else DRAWS_OF_LARGE
     columns = {name: draw(n, k) for k, (name, draw) in enumerate(draws.items())}
@@ -97,8 +81,6 @@ def prior_modes(
     n_modes = min(one.natural_frequencies.size for one in found)
     of_medians = modes_of(at_medians)
     shares = shares_of(of_medians)
-    influence = getattr(at_medians, "influence", None)
-    mass = at_medians.mass if influence is None else influence * (at_medians.mass @ influence)
     with np.errstate(divide="ignore"):
         deflection = np.abs((shares / of_medians.angular_frequencies**2).sum(axis=-1)).max() * GRAVITY
     return PriorModes(
@@ -106,7 +88,7 @@ def prior_modes(
         np.array([one.natural_frequencies[:n_modes] for one in found]),
         np.array([one.damping_ratios[:n_modes] for one in found]),
         np.array([shares_of(one)[:, :n_modes] for one in found]),
-        float(np.sum(mass)),
+        moved_mass(at_medians),
         float(deflection),
         at_medians.is_linear,
     )
@@ -116,3 +98,9 @@ def shares_of(modes) -> np.ndarray:
     """Shape times participation factor (n, m), summed over supports that move together."""
     factors = modes.participation_factors
     return modes.mode_shapes * (factors if factors.ndim == 1 else factors.sum(axis=1))
+
+
+def moved_mass(structure) -> float:
+    """Mass that the base moves [kg]."""
+    influence = getattr(structure, "influence", None)
+    return float(np.sum(structure.mass if influence is None else influence * (structure.mass @ influence)))

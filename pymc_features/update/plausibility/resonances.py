@@ -31,25 +31,14 @@ DROP = 12.0  # log likelihood at the ends of a 90 % interval: of one parameter 1
 
 
 class Resonance(NamedTuple):
-    """A resonance of the channels.
+    """A resonance of the channels."""
 
-    Attributes
-    ----------
-    frequency, frequency_sd : float
-        [Hz]
-    damping : tuple of three floats
-        Ratio [-]: 5 %, most likely, 95 %, with frequency and damping constant during the record.
-    sensors : tuple of str
-        Those that show it, the clearest first.
-    gain : float
-        Log likelihood gained over a smooth function of frequency.
-    """
-
-    frequency: float
+    frequency: float  # [Hz]
     frequency_sd: float
+    # ratio [-]: 5 %, most likely, 95 %, with frequency and damping constant during the record
     damping: tuple[float, float, float]
-    sensors: tuple[str, ...]
-    gain: float
+    sensors: tuple[str, ...]  # those that show it, the clearest first
+    gain: float  # log likelihood gained over a smooth function of frequency
 
 
 class Spectra(NamedTuple):

@@ -1,161 +1,213 @@
-"""What a report says in words and tables: a plain structure that is saved with the result.
+"""What a result says, in words and tables: one plain structure, made once and saved with the result.
 
     {"title": str, "subtitle": str,
      "verdict": {"explains": bool, "sentences": [str]},  # on the fit of the first likelihood
      "sentences": [{"text": str, "is_good": bool}],      # what else comes first
-     "warnings": [str],
+     "findings": [{"kind": str, "code": str, "text": str}],  # what to doubt
+     "warnings": [str],                                  # on the data, and the findings
      "posterior": [{...}],                               # fields of `Row`, None where there is no number
+     "changed": str,                                     # which parameters the data changed
+     "predicted": [{...}],                               # of `predicted_rows`
      "tables": [{"name": str, "section": str, "title": str, "columns": [str], "rows": [[str]], "note": str}],
      "configuration": str, "versions": [str]}
 
-A table stands under the heading of its section, one of `SECTIONS`; without columns it is its note alone.
+Terminal, page, `--json`, `table.csv` and `table.tex` are made from it. A table stands under the heading of
+its section; without columns it is its note alone.
 """
 
 import contextlib
 import importlib.metadata
+import json
 
 import numpy as np
+import xarray as xr
 
+from pymc_features.calibration.events import interval
+from pymc_features.update.comparisons import comparison_sentences, population_table
 from pymc_features.update.config.messages import with_keys
 from pymc_features.update.kinds import KINDS
-from pymc_features.update.kinds.events import CANNOT_BE_TOLD, UNTOLD, event_rows
-from pymc_features.update.kinds.events import COLUMNS as EVENT_COLUMNS
-from pymc_features.update.kinds.events import MEANING as EVENT_MEANING
-from pymc_features.update.population import COLUMNS as POPULATION
-from pymc_features.update.predictions import predicted_rows
-from pymc_features.update.presentation.mode_rows import COLUMNS as MODE_COLUMNS
-from pymc_features.update.presentation.mode_rows import MEANING
-from pymc_features.update.presentation.numbers import PREDICTED, interval_texts, predicted_cells, pretty
-from pymc_features.update.presentation.shown import table
+from pymc_features.update.kinds.base import table
+from pymc_features.update.kinds.events import CANNOT_BE_TOLD, UNTOLD
+from pymc_features.update.kinds.histories import bounds_of
+from pymc_features.update.kinds.model import kinds_of
+from pymc_features.update.predictions import PREDICTION, predicted_rows, predicted_table
 from pymc_features.update.problem import Problem
-from pymc_features.update.report.findings import Findings
-from pymc_features.update.report.summary import kinds_of
+from pymc_features.update.report.numbers import Row, pretty
 
-PREDICTION = "prediction"
 PACKAGES = ("pymc-features", "pymc", "pytensor", "numba", "numpy", "arviz")
+R_HAT = 1.05  # of chains of SMC that agree; they are few and short
+R_HAT_NUTS = 1.01
+FEWEST = 100  # effective draws of each chain
+TAUGHT = 0.1  # share of the prior's variance that the data must take away to have said something,
+MOVED = 0.8  # or the overlap with the prior that they must leave
+BINS = 20  # of equal prior probability, for the overlap
+COVERED = 0.8  # share of the samples in the 90 % band
+#: Codes of findings to what is said of some names, and what to do; others are `run` and `failed`.
+FINDINGS = {
+    "chains": ("Chains disagree on", "Increase `sampler.draws`, and look at the ranks."),
+    "draws": (f"Fewer than {FEWEST} effective draws of each chain for", "Increase `sampler.draws`."),
+    "prior": ("The data say little about", "Their posterior is the prior: fix them, or add sensors."),
+    "moved": (
+        "The data move, but do not narrow",
+        "The prior expects something else: ask which of the two is wrong.",
+    ),
+    "apart": (
+        "The data leave nearly as wide as the prior",
+        "What is named together they cannot tell apart: give narrower priors, or add sensors.",
+    ),
+    "edge": ("The posterior leans on the edge of the prior for", "Widen the prior, or ask why."),
+    "band": (
+        f"Fewer than {100 * COVERED:.0f} % of the samples lie in the 90 % predictive band of",
+        "The likelihood takes the errors for smaller than they are.",
+    ),
+}
 
 
-def document_of(problem: Problem, result, found: Findings, warnings) -> dict:
-    """The words and tables of a report, see the head of this file.
-
-    Parameters
-    ----------
-    problem, result
-        As of `write_outputs`.
-    found : Findings
-        From `findings`.
-    warnings : list of str
-        All of them.
-    """
-    kinds = kinds_of(result)
-    first = [(found.events, found.is_unchanged), (found.supported, True), (found.left_out, True)]
-    first += [(text, True) for text in found.besides]
+def document_of(problem: Problem, result: xr.DataTree, channel_warnings=()) -> dict:
+    """The words and tables of a report, see the head of this file; arguments are those of `write_outputs`."""
+    kinds, rows = kinds_of(result), rows_of_result(problem, result)
+    verdict, findings = problem.verdict(result, kinds[0]), findings_of(result, rows)
+    sentences = [one for data in problem.data for one in data.sentences(problem, result, verdict.explains)]
+    sentences += [(text, True) for text in comparison_sentences(result)]
+    n, predicted = len(problem.priors), predicted_rows(result)
+    used = " and ".join(data.used for data in problem.data)
     tables = [
-        *tables_of_fit(result, kinds),
-        *tables_of_modes(found),
-        *tables_of_events(result, kinds),
-        table_of_predictions(found.predicted),
-        table_of_population(found.population),
+        *(one for data in problem.data for one in data.tables(problem, result)),
+        predicted_table(predicted),
+        population_table(problem, result),
         *tables_of_model(problem, result, kinds),
-        *(one for data in problem.data for one in data.tables(problem)),
         *(table(f"{kind}_run", "sampling", note=" ".join(run_sentences(result[kind]))) for kind in kinds),
     ]
+    told = [f"{one['kind']}: {one['text'][:1].upper()}{one['text'][1:]}" for one in findings]
     return {
         "title": problem.config.report.title,
-        "subtitle": subtitle_of(problem, kinds),
-        "verdict": found.verdict._asdict(),
-        "sentences": [{"text": text, "is_good": is_good} for text, is_good in first if text],
-        "warnings": list(warnings),
+        "subtitle": (
+            f"{problem.structure.title} updated with {used}, {n} uncertain parameter{'s' if n > 1 else ''}, "
+            f"under {', '.join(kinds)}. {problem.first.measures}"
+        ).strip(),
+        "verdict": verdict._asdict(),
+        "sentences": [{"text": text, "is_good": is_good} for text, is_good in sentences],
+        "findings": findings,
+        "warnings": [*(f"data: {text}" for text in channel_warnings), *told],
         "posterior": [
-            {key: None if value != value else value for key, value in row._asdict().items()}
-            for row in found.table
+            {key: None if value != value else value for key, value in row._asdict().items()} for row in rows
         ],
-        "changed": found.changed,
-        "tables": [one for one in tables if one["rows"] or one["note"]],
+        "changed": changed([row for row in rows if row.kind == kinds[0] and np.isfinite(row.overlap)]),
+        "predicted": predicted,
+        "tables": [one for one in tables if one["rows"] or not one["columns"]],
         "configuration": problem.text,
         "versions": versions(),
     }
 
 
-def subtitle_of(problem, kinds) -> str:
-    """What was updated with what, under which likelihoods, and which motion was measured."""
-    n = len(problem.priors)
-    of_parameters = f"{n} uncertain parameter{'s' if n > 1 else ''}"
-    used = " and ".join(data.used for data in problem.data)
-    sentence = f"{problem.structure.title} updated with {used}, {of_parameters}"
-    return f"{sentence}, under {', '.join(kinds)}. {problem.first.measures}".strip()
+def put_predictions(result) -> None:
+    """Give the document of a result the predictions which the result has now."""
+    document, rows = json.loads(result.attrs["document"]), predicted_rows(result)
+    tables = [one for one in document["tables"] if one["name"] != PREDICTION]
+    document |= {"predicted": rows, "tables": [*tables, predicted_table(rows)]}
+    result.attrs["document"] = json.dumps(document)
 
 
-def tables_of_fit(result, kinds) -> list[dict]:
-    """How each likelihood meets the responses, and the largest values of other responses."""
-    fit, peaks = [], []
-    for kind in kinds:
-        if "bands" not in result[kind].children:
-            continue
-        bands = result[kind]["bands"].to_dataset()
-        errors = [f"{value:.2f}" for value in bands["normalised_error"].values]
-        shares = [f"{100 * v:.0f} %" for v in bands["coverage"].values] if "coverage" in bands else None
-        shares = shares or ["" for _ in errors]
-        fit += [(kind, *row) for row in zip(bands["sensor"].values, errors, shares, strict=True)]
-        names = [name for name in bands.data_vars if str(name).endswith("_peak")]
-        peaks += [(kind, *row) for name in names for row in peak_rows(bands[name])]
-    columns = ("likelihood", "sensor", "rms error / measured rms", "samples in the 90 % band")
-    quantiles = ("likelihood", "largest response", "unit", "5 %", "50 %", "95 %")
-    return [
-        table("fit", "response", "Error of the median response", columns, fit),
-        table("peaks", "response", "Largest values of other responses", quantiles, peaks),
-    ]
-
-
-def peak_rows(peaks) -> list[tuple]:
-    """Place, unit and quantiles of the largest values of a quantity."""
-    label = str(peaks.name).removesuffix("_peak").replace("_", " ")
-    values = np.reshape(peaks.transpose("quantile", ...).values, (peaks.sizes["quantile"], -1)).T
-    dim = next((d for d in peaks.dims if d != "quantile"), None)
-    names = [f"{label}, {dim.rpartition('_')[2]} {v}" for v in peaks[dim].values] if dim else [label]
-    texts = [interval_texts(row, peaks.attrs.get("units", "-")) for row in values]
-    return [(name, unit, *row) for name, (unit, row) in zip(names, texts, strict=True)]
-
-
-def tables_of_modes(found) -> list[dict]:
-    """Identified modes beside those of the model."""
-    rows = [(kind, *row.cells) for kind, of_kind in found.modes.items() for row in of_kind]
-    return [
-        table("modes", "modes", "Identified modes", ("likelihood", *MODE_COLUMNS), rows, rows and MEANING)
-    ]
-
-
-def tables_of_events(result, kinds) -> list[dict]:
-    """The events one after another."""
-    rows = [(kind, *row) for kind in kinds for row in event_rows(result[kind])]
-    columns = ("likelihood", *EVENT_COLUMNS)
-    return [table("events", "events", "From event to event", columns, rows, rows and EVENT_MEANING)]
-
-
-def table_of_predictions(predicted) -> dict:
-    """Peaks under other motions, and the probabilities that they exceed limits."""
-    rows = predicted_cells(predicted)
-    note = rows and (
-        "The largest value at any place, from the uncertainty of the parameters alone; a probability is that "
-        "of exceeding the limit anywhere."
+def as_json(document: dict) -> str:
+    """What scripts read: verdict, table in SI units, and findings with their codes; no number is null."""
+    return json.dumps(
+        {
+            "explains": document["verdict"]["explains"],
+            "verdict": document["verdict"]["sentences"],
+            "is_unchanged": all(one["is_good"] for one in document["sentences"]),
+            "sentences": [one["text"] for one in document["sentences"]],
+            "table": document["posterior"],
+            "predicted": document["predicted"],
+            "findings": document["findings"],
+        }
     )
-    return table(PREDICTION, PREDICTION, "Largest responses to other motions", PREDICTED, rows, note)
 
 
-def table_of_population(rows) -> dict:
-    """Mean and scatter of the members of [hierarchical]."""
-    note = rows and (
-        "Mean and scatter of the population, the next member of it, and each member given all of them; of a "
-        "log-normal population the mean is its median, the scatter the standard deviation of the logarithm."
-    )
-    return table("population", "population", "Mean, scatter and members", POPULATION, rows, note)
+def rows_of_result(problem: Problem, result: xr.DataTree) -> list[Row]:
+    """All parameters, and natural frequencies in the band of the data, under all likelihoods."""
+    import arviz as az  # slow to import
+
+    found = []
+    low, high = problem.first.band
+    for kind in kinds_of(result):
+        part = result[kind]
+        posterior, prior, at = part["posterior"].to_dataset(), part["prior"].to_dataset(), bounds_of(part)
+        for name in map(str, prior.data_vars):
+            draws = posterior[name]
+            taught = max(0.0, 1.0 - float(draws.var() / prior[name].var()))
+            r_hat = float(az.rhat(draws)) if posterior.sizes["chain"] > 1 else np.nan
+            overlap = overlap_of(prior[name].values, draws.values)
+            of_run = taught, r_hat, float(az.ess(draws)), overlap
+            found.append(Row(kind, name, problem.unit(name), *moments(draws, at.get(name)), *of_run))
+        modal = (
+            part["modal"]["natural_frequency"] if "modal" in part.children else xr.DataArray([], dims="mode")
+        )
+        for k, one in enumerate(modal.transpose("mode", ...), start=1):
+            if k == 1 or low <= float(one.median()) <= high:  # else the data say nothing about it
+                found.append(Row(kind, f"f{k}", "Hz", *moments(one), *[np.nan] * 4))
+    return found
 
 
-def with_predictions(document: dict, result) -> dict:
-    """A document with the predictions that a result has now."""
-    others = [one for one in document["tables"] if one["name"] != PREDICTION]
-    own = table_of_predictions(predicted_rows(result))
-    return document | {"tables": [*others, *([own] if own["rows"] else [])]}
+def overlap_of(prior, posterior) -> float:
+    """Mass that two densities share [-], by a histogram with bins of equal prior probability."""
+    edges = np.quantile(prior, np.linspace(0.0, 1.0, BINS + 1)[1:-1])
+    shares = np.bincount(np.searchsorted(edges, np.ravel(posterior)), minlength=BINS) / np.size(posterior)
+    return float(np.minimum(shares, 1.0 / BINS).sum())
+
+
+def moments(draws, bound=None) -> tuple[float, ...]:
+    """Median between the ends of the 90 % interval, see `interval`, mean and standard deviation."""
+    values = draws.values[np.isfinite(draws.values)]
+    low, high = interval(values, bound=bound)
+    return low, float(np.median(values)), high, float(values.mean()), float(values.std())
+
+
+def findings_of(result: xr.DataTree, rows: list[Row]) -> list[dict]:
+    """What to doubt, from the run and from its numbers: likelihood, code and sentence."""
+    found = [(kind, "failed", text) for kind, text in json.loads(result.attrs.get("failed", "{}")).items()]
+    for kind in kinds_of(result):
+        part = result[kind]
+        found += [(kind, "run", text) for text in json.loads(part.attrs["warnings"])]
+        for code, names in names_in_doubt(part, [row for row in rows if row.kind == kind]).items():
+            sentence, advice = FINDINGS[code]
+            if names:
+                found.append((kind, code, f"{sentence} {', '.join(names)}. {advice}"))
+        stats = part["sample_stats"].to_dataset() if "sample_stats" in part.children else {}
+        if "failed" in stats and (n := int(stats["failed"].sum())):
+            of_all = f"{n} of {int(stats['evaluations'].sum())} evaluations"
+            found.append((kind, "impossible", f"{of_all} gave no response and count as impossible."))
+    return [dict(zip(("kind", "code", "text"), one, strict=True)) for one in found]
+
+
+def names_in_doubt(part, rows: list[Row]) -> dict[str, list[str]]:
+    """Codes of `FINDINGS` to the parameters, or sensors, that they are about."""
+    limit = R_HAT_NUTS if part.attrs["method"] == "NUTS" else R_HAT
+    rows = [row for row in rows if np.isfinite(row.taught)]
+    wide = [row for row in rows if row.taught < TAUGHT]
+    stats = part["sample_stats"].attrs if "sample_stats" in part.children else {}
+    apart = [direction for direction in stats.get("undetermined", "").split(", ") if direction]
+    covered = part["bands"].get("coverage") if "bands" in part.children else None
+    edges = {row.name: np.quantile(part["prior"][row.name].values, [0.01, 0.99]) for row in rows}
+    return {
+        "chains": [row.name for row in rows if row.r_hat > limit],
+        "draws": [row.name for row in rows if row.ess < FEWEST * part["posterior"].sizes["chain"]],
+        "prior": [row.name for row in wide if row.overlap > MOVED],
+        "moved": [row.name for row in wide if row.overlap <= MOVED],
+        "apart": [name for name in apart if name not in [row.name for row in wide]],
+        "edge": [row.name for row in rows if not edges[row.name][0] < row.q50 < edges[row.name][1]],
+        "band": [] if covered is None else covered["sensor"].values[covered.values < COVERED].tolist(),
+    }
+
+
+def changed(rows: list[Row]) -> str:
+    """Which parameters the data changed, by how much of the prior is left."""
+    moved, same = [], []
+    for row in sorted(rows, key=lambda row: row.overlap):
+        is_same = row.overlap > MOVED and row.taught < TAUGHT
+        (same if is_same else moved).append(f"{row.name} ({row.overlap:.2f})")
+    told = f"The data changed {', '.join(moved) or 'no parameter'}"
+    told += f"; they left as they were {', '.join(same)}" if same else ""
+    return f"{told}. In brackets the overlap of prior and posterior: 1 if they are the same."
 
 
 def tables_of_model(problem, result, kinds) -> list[dict]:
@@ -165,10 +217,10 @@ def tables_of_model(problem, result, kinds) -> list[dict]:
         (name, pretty(problem.unit(name)), repr(prior), ", ".join(key for key, _ in uses[name]))
         for name, prior in problem.priors.items()
     ]
-    parts = [result[kind].attrs for kind in kinds]
+    parts = {kind: result[kind].attrs for kind in kinds}
     likelihoods = [
         (kind, KINDS[kind].meaning, attrs["method"], f"{attrs['seconds']:.0f}")
-        for kind, attrs in zip(kinds, parts, strict=True)
+        for kind, attrs in parts.items()
     ]
     columns = ("likelihood", "what it takes for the error", "sampler", "seconds")
     return [
@@ -192,11 +244,8 @@ def run_sentences(part) -> list[str]:
     if "sequence" in part.children:
         record = part["sequence"].to_dataset()
         total, error = (float(record[name].sum()) for name in ("log_score", "log_score_se"))
-        told.append(
-            f"The log evidence of all events is {total:.2f} with a standard error of at most {error:.2g}."
-            if error < UNTOLD
-            else f"The log evidence of all events {CANNOT_BE_TOLD}."
-        )
+        number = f"is {total:.2f} with a standard error of at most {error:.2g}"
+        told.append(f"The log evidence of all events {number if error < UNTOLD else CANNOT_BE_TOLD}.")
     if "advice" in getattr(stats, "attrs", {}):
         return told + sentences_of_sample(stats.attrs, is_calibrated=bool(base))
     if "log_marginal_likelihood" in stats:
@@ -215,20 +264,21 @@ def sentences_of_sample(found, is_calibrated=False) -> list[str]:
 
     After several events, modes were searched for in the first one alone.
     """
-    n = found["n_modes"]
-    told = [
-        f"The search for modes took {found.get('search_evaluations')} evaluations and "
-        f"{found.get('search_gradients')} gradients.",
-        f"It found {n} mode{'s' if n != 1 else ''}.",
-        f"The log evidence is {found['log_evidence']:.2f} with a standard error of "
-        f"{found['log_evidence_se']:.2g}.",
+    n, told = found["n_modes"], []
+    if not is_calibrated and "search_evaluations" in found:
+        told = [
+            f"The search for modes took {found['search_evaluations']} evaluations and "
+            f"{found.get('search_gradients')} gradients.",
+            f"It found {n} mode{'s' if n != 1 else ''}.",
+        ]
+        if found["no_gradient"]:
+            told = [f"There were no climbs to modes, for the model has no gradient: {found['no_gradient']}."]
+        error = f"a standard error of {found['log_evidence_se']:.2g}"
+        told.append(f"The log evidence is {found['log_evidence']:.2f} with {error}.")
+    told += [
         f"The draws are worth {found['ess']:.0f} independent ones for the quantiles of the worst parameter.",
         f"Pareto k of the weights is {found['pareto_k']:.2f}; below 0.7 they can be trusted.",
     ]
-    if is_calibrated or "search_evaluations" not in found:
-        del told[:3]
-    elif found["no_gradient"]:
-        told[:2] = [f"There were no climbs to modes, for the model has no gradient: {found['no_gradient']}."]
     if np.isfinite(found["max_r_hat"]):
         told.append(f"The largest R-hat is {found['max_r_hat']:.3f}.")
     if found["undetermined"]:

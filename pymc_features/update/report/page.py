@@ -11,7 +11,7 @@ from pathlib import Path
 import xarray as xr
 
 from pymc_features.storage import write_atomically
-from pymc_features.update.presentation.numbers import (
+from pymc_features.update.report.numbers import (
     COLUMNS,
     N_TEXTS,
     as_csv,

@@ -10,16 +10,11 @@ import json
 import numpy as np
 import xarray as xr
 
-from pymc_features.update.presentation.numbers import (
-    interval_texts,
-    predicted_quantities,
-    rows_of,
-    scale_of,
-)
+from pymc_features.update.report.numbers import interval_texts, predicted_quantities, rows_of, scale_of
 
 BUDGET = 950_000  # characters of all responses and their spectra
 DRAWS = 600  # in the pair plot
-GHOSTS = 60_000  # entries of mode shapes of draws
+GHOSTS, MOST_GHOSTS = 60_000, 24  # entries of mode shapes of draws, and draws
 GRID = 512  # bins of a density before it is smoothed
 SPECTRUM = 300  # frequencies of a spectrum that are drawn
 WIDE = 10.0  # of the 99 % quantile of a prior over its median, for a logarithmic axis
@@ -28,78 +23,64 @@ RECORD = 1500  # samples of the motion of the base
 
 def payload_of(result) -> dict:
     """What the scripts of the page draw."""
-    document = json.loads(result.attrs["document"])
-    kinds = list(dict.fromkeys(row["kind"] for row in document["posterior"]))
+    document, units = json.loads(result.attrs["document"]), json.loads(result.attrs["units"])
     rows = rows_of(document)
-    units = json.loads(result.attrs["units"])
-    found = {"kinds": kinds, "parameters": parameters(rows, units), "of": {}}
-    samples, scale = kept_samples(result, kinds), scale_of_responses(result, kinds)
+    kinds = list(dict.fromkeys(row.kind for row in rows))
+    scales = {}
+    for row in rows:
+        if row.name in units and row.name not in scales:
+            scale = scale_of(max(abs(row.q05), abs(row.q50), abs(row.q95)), row.unit)
+            scales[row.name] = {"unit": scale.unit, "factor": scale.factor}
+    found = {"kinds": kinds, "parameters": scales, "of": {}}
+    samples, shared = measured(result, [result[kind] for kind in kinds])
     for kind in kinds:
-        part = result[kind]
+        part, of_kind = result[kind], [row for row in rows if row.kind == kind]
+        own = {name: scale["factor"] for name, scale in scales.items() if name in part["posterior"]}
         found["of"][kind] = {
-            "parameters": densities(part, found["parameters"], [row for row in rows if row.kind == kind]),
-            "draws": draws_of(part, found["parameters"]),
+            "parameters": densities(part, own, of_kind),
+            "draws": draws_of(part, own),
             **frequency_intervals(part),
-            "responses": responses(part, samples, scale),
+            "responses": responses(part, samples),
             "modes": modes_of(part, result, len(kinds)),
             "singular_values": fitted_values(part),
-            "events": events_of(part, found["parameters"]),
+            "events": events_of(part, own),
             "stages": stages_of(part),
-            "ranks": ranks_of(part, found["parameters"], [row for row in rows if row.kind == kind]),
+            "ranks": ranks_of(part, own, of_kind),
         }
-    shared = {"measured": measured(result, kinds, samples, scale), "geometry": geometry(result)}
-    shared |= {"data": data_of(result, kinds), "spectra": channel_values(result)}
-    shared |= {"predicted": predicted(result) or None}
+    shared |= {"geometry": geometry(result), "data": data_of(result, result[kinds[0]])}
+    shared |= {"spectra": channel_values(result), "predicted": predicted(result) or None}
     return found | {name: value for name, value in shared.items() if value is not None}
 
 
-def parameters(rows, units) -> dict:
-    """Unit with prefix, and its factor, of each parameter."""
-    found = {}
-    for row in rows:
-        if row.name in units and row.name not in found:
-            scale = scale_of(max(abs(row.q05), abs(row.q50), abs(row.q95)), row.unit)
-            found[row.name] = {"unit": scale.unit, "factor": scale.factor}
-    return found
-
-
-def names_in(part, scales) -> list[str]:
-    """Parameters that a likelihood has."""
-    return [name for name in scales if name in part["posterior"]]
-
-
-def densities(part, scales, rows) -> dict:
+def densities(part, factors, rows) -> dict:
     """Densities of posterior and prior, each to its own height, and the 5, 50 and 95 % quantiles."""
-    found, quantiles = {}, {row.name: [row.q05, row.q50, row.q95] for row in rows}
-    for name in names_in(part, scales):
-        factor = scales[name]["factor"]
-        of_posterior = density(part["posterior"][name].values / factor)
+    found, quantiles = {}, {row.name: np.array([row.q05, row.q50, row.q95]) for row in rows}
+    for name, factor in factors.items():
         prior = part["prior"][name].values / factor
         is_wide = prior.min() > 0.0 and np.quantile(prior, 0.99) > WIDE * np.median(prior)
-        of_prior = density(np.log10(prior) if is_wide else prior)
-        found[name] = dict(zip(("x", "y"), map(packed, of_posterior), strict=True))
-        found[name] |= dict(zip(("prior_x", "prior_y"), map(packed, of_prior), strict=True))
-        found[name]["is_log"] = bool(is_wide)
-        found[name]["quantiles"] = rounded(np.array(quantiles[name]) / factor, 9)
+        of_both = (
+            density(part["posterior"][name].values / factor),
+            density(np.log10(prior) if is_wide else prior),
+        )
+        columns = zip(("x", "y", "prior_x", "prior_y"), (*of_both[0], *of_both[1]), strict=True)
+        found[name] = {key: packed(values) for key, values in columns}
+        found[name] |= {"is_log": bool(is_wide), "quantiles": rounded(quantiles[name] / factor, 9)}
     return found
 
 
-def draws_of(part, scales) -> dict:
+def draws_of(part, factors) -> dict:
     """Draws of the pair plot: first those whose responses are known, then others, evenly spaced."""
-    posterior = part["posterior"].to_dataset()
-    size = posterior.sizes["draw"]
-    known = []
+    posterior, known = part["posterior"].to_dataset(), []
+    size, total = posterior.sizes["draw"], posterior.sizes["draw"] * posterior.sizes["chain"]
     if "histories" in part.children:
         labels = part["histories"].to_dataset()
         at = [posterior.get_index(dim).get_indexer(labels[dim].values) for dim in ("chain", "draw")]
         known = (at[0] * size + at[1]).tolist()
-    total = size * posterior.sizes["chain"]
     others = np.linspace(0, total - 1, min(DRAWS, total)).astype(int).tolist()
     chosen = list(dict.fromkeys([*known, *others]))[:DRAWS]
-    names = names_in(part, scales)
-    flat = {name: posterior[name].transpose("chain", "draw").values.ravel()[chosen] for name in names}
-    columns = [flat[name] / scales[name]["factor"] for name in names]
-    return {"names": names, "values": [packed(column) for column in columns], "known": len(known)}
+    flat = {name: posterior[name].transpose("chain", "draw").values.ravel()[chosen] for name in factors}
+    values = [packed(flat[name] / factor) for name, factor in factors.items()]
+    return {"names": list(factors), "values": values, "known": len(known)}
 
 
 def frequency_intervals(part) -> dict:
@@ -116,75 +97,63 @@ def top_of(part) -> float:
     """Up to which frequency [Hz] spectra are drawn: a little above the tenth mode, or the last."""
     if "modal" not in part.children:
         return np.inf
-    return 1.5 * float(
-        np.nanmax(np.nanmedian(part["modal"]["natural_frequency"].values[..., :10], axis=(0, 1)))
-    )
+    values = part["modal"]["natural_frequency"].values[..., :10]
+    return 1.5 * float(np.nanmax(np.nanmedian(values, axis=(0, 1))))
 
 
-def with_bands(result, kinds) -> list[str]:
-    """Likelihoods that have responses."""
-    return [kind for kind in kinds if "bands" in result[kind].children]
+def measured(result, parts) -> tuple[list, dict]:
+    """Choose the samples of each sensor to draw: extremes of the measurement and of the first residual.
 
-
-def kept_samples(result, kinds) -> list:
-    """Choose the samples of each sensor to draw: extremes of the measurement and of the first residual."""
-    kinds = with_bands(result, kinds)
-    if not kinds:
-        return []
-    observed = result[kinds[0]]["observed_data"]["y"].values
-    median = result[kinds[0]]["bands"]["response"].sel(quantile=0.5).values
-    components = [result[kind]["histories"].sizes["component"] for kind in kinds]
+    And what was measured there, with a prefix for its unit.
+    """
+    if "bands" not in parts[0].children:
+        return [], {}
+    observed = parts[0]["observed_data"]["y"]
+    values, time = observed.values, observed["time"].values
+    median = parts[0]["bands"]["response"].sel(quantile=0.5).values
+    components = [part["histories"].sizes["component"] for part in parts]
     size = 4.0 / 3.0 * (4 + sum(2 + 4 + n for n in components))  # characters of a sample of one sensor
-    of_spectra = 8.0 / 3.0 * 4 * SPECTRUM * len(kinds)
-    n = int((BUDGET / len(observed) - of_spectra) / size)
-    return [extremes([y, y - m], n) for y, m in zip(observed, median, strict=True)]
-
-
-def scale_of_responses(result, kinds):
-    """Unit with prefix of what was measured."""
-    for kind in with_bands(result, kinds):
-        observed = result[kind]["observed_data"]["y"]
-        return scale_of(float(np.nanmax(np.abs(observed.values))), observed.attrs.get("units", "-"))
-
-
-def measured(result, kinds, samples, scale):
-    """What was measured at the kept samples, and what is said of them."""
-    if not samples:
-        return None
-    observed = result[with_bands(result, kinds)[0]]["observed_data"]["y"]
-    time = observed["time"].values
+    of_spectra = 8.0 / 3.0 * 4 * SPECTRUM * len(parts)
+    n = int((BUDGET / len(values) - of_spectra) / size)
+    samples = [extremes([y, y - m], n) for y, m in zip(values, median, strict=True)]
+    scale = scale_of_responses(observed)
     found = {
         "unit": scale.unit,
         "sensors": observed["sensor"].values.astype(str).tolist(),
         "time": [packed(time[kept]) for kept in samples],
-        "values": [packed(y[at] / scale.factor) for y, at in zip(observed.values, samples, strict=True)],
+        "values": [packed(y[at] / scale.factor) for y, at in zip(values, samples, strict=True)],
         "samples": [int(time.size), max(map(len, samples))],
     }
     if "displacement" in observed.coords or "displacement" in result["data"].coords:
         displacement = result["data"]["displacement"].values
         found["displacement"] = [packed(1e3 * displacement[kept]) for kept in samples]
-    return found
+    return samples, {"measured": found}
 
 
-def responses(part, samples, scale):
+def scale_of_responses(observed):
+    """Unit with prefix of what was measured."""
+    return scale_of(float(np.nanmax(np.abs(observed.values))), observed.attrs.get("units", "-"))
+
+
+def responses(part, samples):
     """Median, bands as distances from it, components of draws, and spectra, of each sensor."""
     if "bands" not in part.children:
         return None
     bands, kept = part["bands"].to_dataset(), part["histories"].to_dataset()
-    observed, time = part["observed_data"]["y"].values / scale.factor, bands["time"].values
-    found, top = [], top_of(part)
+    observed, time = part["observed_data"]["y"], bands["time"].values
+    factor, found, top = scale_of_responses(observed).factor, [], top_of(part)
     for k, at in enumerate(samples):
-        of_one = bands.isel(sensor=k)
-        low, median, high = of_one["response"].values / scale.factor
+        of_one, y = bands.isel(sensor=k), observed.values[k] / factor
+        low, median, high = of_one["response"].values / factor
         distances = {"low": median - low, "high": high - median}
         if "predictive" in bands:
-            first, _, last = of_one["predictive"].values / scale.factor
+            first, _, last = of_one["predictive"].values / factor
             distances |= {"data_low": median - first, "data_high": last - median}
-        frequency, root = spectra([observed[k], median, observed[k] - median], time[1] - time[0], top)
+        frequency, root = spectra([y, median, y - median], time[1] - time[0], top)
         found.append(
             {name: packed(values[at], 8) for name, values in distances.items()}
             | {"median": packed(median[at]), "frequency": packed(frequency), "spectra": log_packed(root)}
-            | {"components": [packed(row[at] / scale.factor, 8) for row in kept["component"].values[:, k]]}
+            | {"components": [packed(row[at] / factor, 8) for row in kept["component"].values[:, k]]}
         )
     coefficients = rounded(kept["coefficient"].values, 4)
     return {"sensors": found, "coefficients": coefficients, "share": rounded(kept.attrs["share"], 4)}
@@ -204,23 +173,23 @@ def modes_of(part, result, n_kinds):
     """Shapes of the model at some draws, identified ones with their partners, and the MAC of both."""
     if "mode_shapes" not in part.children:
         return None
-    shapes = part["mode_shapes"].to_dataset()
-    values = shapes["shape"].values
-    n = max(1, min(len(values), GHOSTS // (values[0].size * n_kinds)))
-    found = {"shapes": packed(values[:n], 8), "frequencies": rounded(shapes["frequency"].values[:n], 5)}
+    shapes, frequencies = (part["mode_shapes"][name].values for name in ("shape", "frequency"))
+    n = max(1, min(MOST_GHOSTS, GHOSTS // (shapes[0].size * n_kinds)))
+    some = np.unique(np.linspace(0, len(shapes) - 1, n).astype(int))  # the first is in the middle
+    found = {"shapes": packed(shapes[some], 8), "frequencies": rounded(frequencies[some], 5)}
     if "matched" not in part.children or "shape" not in result["identified"]:
         return found
-    identified, draws = result["identified"].to_dataset(), part["shapes"]["at_channels"].values
-    mac = mac_of(identified["shape"].values, draws)
-    matched = part["matched"].to_dataset()
+    identified, matched = result["identified"].to_dataset(), part["matched"].to_dataset()
+    points = json.loads(result["geometry"].attrs["channels"])
+    at_channels = shapes[:, : identified.attrs["n_modes"]][..., points]
     return found | {
         "identified": {
             "names": matched["label"].values.astype(str).tolist(),
             "partners": matched["partner"].values.tolist(),
             "frequencies": rounded(identified["frequency"].values, 5),
             "shapes": rounded(identified["shape"].values.real, 4),
-            "points": json.loads(result["geometry"].attrs["channels"]),
-            "mac": rounded(np.median(mac, axis=0), 4),
+            "points": points,
+            "mac": rounded(np.median(mac_of(identified["shape"].values, at_channels), axis=0), 4),
         }
     }
 
@@ -255,20 +224,19 @@ def channel_values(result):
     return found | {"bands": rounded(spectrum["band"].values, 5)}
 
 
-def events_of(part, scales):
+def events_of(part, factors):
     """Mean and 90 % interval of each parameter after each event, and the alarms."""
     if "sequence" not in part.children:
         return None
     record = part["sequence"].to_dataset()
-    names = [name for name in record["parameter"].values.astype(str) if name in scales]
-    factors = np.array([scales[name]["factor"] for name in names])
-    chosen = record.sel(parameter=names).transpose("event", "parameter", ...)
-    mean, sd = (chosen[name].values / factors for name in ("mean", "standard_deviation"))
+    names = [name for name in record["parameter"].values.astype(str) if name in factors]
+    chosen = record.sel(parameter=names).transpose("parameter", "event", ...)
+    scale = np.array([[factors[name]] for name in names])
     return {
         "names": names,
         "events": record["name"].values.astype(str).tolist(),
-        "mean": rounded(mean.T),
-        "half": rounded(1.645 * sd.T),
+        "mean": rounded(chosen["mean"].values / scale),
+        "half": rounded(1.645 * chosen["standard_deviation"].values / scale),
         "alarm": (record["alarm"].values > 0).tolist(),
     }
 
@@ -283,27 +251,27 @@ def stages_of(part):
     return {"name": name, "values": rounded(stats[name].values), "accept": rounded(accept, 4)}
 
 
-def ranks_of(part, scales, rows):
+def ranks_of(part, factors, rows):
     """Ranks of the draws of each chain among all, less what is expected, and 95 % of chains that agree."""
     posterior = part["posterior"].to_dataset()
     if posterior.sizes["chain"] < 2:
         return None
     effective = {row.name: row.ess / posterior.sizes["chain"] for row in rows}
     found = {}
-    for name in names_in(part, scales):
+    for name in factors:
         places, shares = rank_differences(posterior[name].transpose("chain", "draw").values)
         half = 1.96 * np.sqrt(places * (1.0 - places) / max(effective[name], 1.0))
         found[name] = {"shares": [packed(row) for row in shares], "half": packed(half), "u": packed(places)}
     return found
 
 
-def data_of(result, kinds):
+def data_of(result, part):
     """Motion of the base, gain of the sensors against it, and frequencies that are known."""
     if "data" not in result.children or "gain" not in result["data"]:
         return None
     data = result["data"].to_dataset()
     base, frequency = data["ground_acceleration"].values, data["frequency"].values
-    shown = (frequency > 0.0) & (frequency <= top_of(result[kinds[0]]))
+    shown = (frequency > 0.0) & (frequency <= top_of(part))
     frequency, gain = frequency[shown], data["gain"].values[:, shown]
     kept = extremes(base, RECORD)
     at = extremes(np.log(np.maximum(np.sqrt((gain**2).mean(axis=0)), 1e-12)), 500)

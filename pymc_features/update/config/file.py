@@ -7,7 +7,7 @@ from pydantic import Field, ValidationError, create_model, model_validator
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.entries import units_in
-from pymc_features.update.config.keys import parsed
+from pymc_features.update.config.keys import check_keys, parsed
 from pymc_features.update.config.messages import sentence, shown
 from pymc_features.update.config.sections import (
     Candidate,
@@ -22,15 +22,12 @@ from pymc_features.update.config.sections import (
     Sensitivity,
     parameters_of,
 )
-from pymc_features.update.config.structure_sections import SPECIMENS, StructureSection
+from pymc_features.update.config.structures import SPECIMENS, StructureSection, with_damping
 from pymc_features.update.kinds import KINDS_OF_DATA
-from pymc_features.update.kinds.ambient import Ambient
-from pymc_features.update.kinds.modal import with_damping
 from pymc_features.update.predictions import Predict
 
 A_STRUCTURE = "a table with `type`, the name of a structure"
-OF_MODES = {"modal", "modal_mode", "modal_entry"}
-TAKEN = {"y", "chain", "draw", "sensor", "time", "sample", "mode", *OF_MODES}
+TAKEN = {"y", "chain", "draw", "sensor", "time", "sample", "mode", "modal", "modal_mode", "modal_entry"}
 
 
 class File(Section):
@@ -48,24 +45,18 @@ class File(Section):
     sensitivity: Sensitivity | None = Field(None, description="a table")
     report: Report = Field(Report(), description="a table")
 
-    @model_validator(mode="before")
-    @classmethod
-    def complete(cls, raw):
-        """What a file may leave out, and the others imply."""
-        return with_damping(raw)
+    complete = model_validator(mode="before")(with_damping)
 
     def uses(self) -> dict[str, list[tuple[str, str]]]:
         """Names of priors to (key, unit) of every place where they are used, in the order of use."""
         places = [] if self.structure is None else list(parameters_of("structure", self.structure))
         for name in type(self).model_fields:
             places += getattr(getattr(self, name), "parameters", lambda config: ())(self)
-        found: dict[str, list[tuple[str, str]]] = {}
+        found: dict[str, dict[tuple[str, str], None]] = {}
         for key, of_key, value in places:
             for name, unit in units_in(value, of_key):
-                listed = found.setdefault(name, [])
-                if (key, unit) not in listed:
-                    listed.append((key, unit))
-        return found
+                found.setdefault(name, {})[key, unit] = None
+        return {name: list(pairs) for name, pairs in found.items()}
 
 
 Config = create_model(
@@ -105,17 +96,12 @@ def read_config(path) -> tuple[File, dict]:
 
 
 def validated(raw: dict, *, prune: bool = False) -> File:
-    """The configuration of a parsed file; with `prune` priors that nothing uses are no error.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown, missing or out of its range, or a name refers to nothing.
-    """
+    """The configuration of a parsed file; with `prune` priors that nothing uses are no error."""
+    check_keys(raw)
     try:
         config = Config.model_validate(raw)
     except ValidationError as error:
-        raise ConfigError(sentence(error, raw, Config)) from error
+        raise ConfigError(sentence(error, raw)) from error
     check_sources(config)
     check_names(config, prune)
     return config
@@ -131,7 +117,7 @@ def check_sources(config: File) -> None:
             "displacement and force."
         )
     asked = [kind for kind in KINDS_OF_DATA if kind.is_asked(config)]
-    if config.ambient is not None and Ambient not in asked:
+    if config.ambient is not None and all(kind.key != "ambient" for kind in asked):
         raise ConfigError('`ambient` must be left out without `data.excitation = "ambient"`, got it.')
     for kind in asked:
         kind.check_sections(config)
@@ -163,9 +149,7 @@ def check_names(config: File, prune: bool) -> None:
                 f"`priors.{name}` must be used by the structure or a likelihood, it is nowhere. Use it or "
                 "remove it."
             )
-    of_model = ("structure", "external")
-    structural = [p for p, places in used.items() if any(k.startswith(of_model) for k, _ in places)]
-    if not structural:
+    if not any(key.startswith(("structure", "external")) for places in used.values() for key, _ in places):
         raise ConfigError(
             "`structure` must have a parameter that is the name of a prior, got numbers only. There is "
             "nothing to update."

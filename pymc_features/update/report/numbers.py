@@ -4,6 +4,7 @@ One function, `cells`, for the terminal, the page and LaTeX; `as_csv` alone keep
 """
 
 import math
+import re
 from typing import NamedTuple
 
 COLUMNS = ("likelihood", "parameter", "unit", "5 %", "50 %", "95 %", "mean", "sd", "learned", "R-hat", "ESS")
@@ -20,40 +21,30 @@ PREFIXES = {
     "kg": {-3: "g", 0: "kg", 3: "t", 6: "kt"},  # names of their own
     "rad": {-3: "m", 0: ""},
 }
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+LOWERED = {raised: chr(plain) for plain, raised in RAISED.items()}
+SPECIAL = {letter: f"\\{letter}" for letter in "_%&#$"} | {"µ": "$\\mu$"}
 # the smallest value that is shown without a prefix: by default 1, and 0.001 of units that have none
 PLAIN_FROM = {"m": 0.1, "s": 0.1, "Hz": 0.0, "m/s^2": 1e-3, "m/s": 1e-3, "rad": 1e-3}
 PLAIN_BELOW = {"-": 1e4}  # by default 1000
 
 
 class Row(NamedTuple):
-    """One parameter under one likelihood.
+    """One parameter under one likelihood."""
 
-    Attributes
-    ----------
-    kind, name, unit : str
-        Likelihood, parameter, and its SI unit.
-    q05, q50, q95, mean, sd : float
-        Median between the ends of the 90 % interval, mean and standard deviation, in SI units.
-    taught : float
-        Share of the prior's variance that the data took away [-]; 0 where the posterior is as wide or wider.
-    r_hat, ess : float
-        Of the chains, and the effective number of draws; NaN where they are not told.
-    overlap : float
-        Mass that prior and posterior share [-].
-    """
-
-    kind: str
+    kind: str  # likelihood, parameter, and its SI unit
     name: str
     unit: str
-    q05: float
+    q05: float  # median between the ends of the 90 % interval, mean and standard deviation, in SI units
     q50: float
     q95: float
     mean: float
     sd: float
+    # share of the prior's variance that the data took away [-]; 0 where the posterior is as wide or wider
     taught: float
-    r_hat: float
+    r_hat: float  # of the chains, and the effective number of draws; NaN where they are not told
     ess: float
-    overlap: float
+    overlap: float  # mass that prior and posterior share [-]
 
 
 def rows_of(document: dict) -> list[Row]:
@@ -83,50 +74,27 @@ def scale_of(size: float, unit: str) -> Scale:
     return Scale(10.0**power, known[power] if unit == "kg" else f"{known[power]}{pretty(unit)}")
 
 
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-LOWERED = {raised: chr(plain) for plain, raised in RAISED.items() for raised in [chr(raised)]}
-
-
-SPECIAL = {letter: f"\\{letter}" for letter in "_%&#$"} | {"µ": "$\\mu$"}
-
-
 def pretty(unit: str) -> str:
     """A unit with raised exponents."""
     return unit.replace("^2", "²").replace("^3", "³")
 
 
-def decimals_for(sd: float, values=()) -> int:
-    """Decimals that show two significant digits of a standard deviation, and values that differ as different.
+def fixed(values, sd: float, scale: Scale) -> list[str]:
+    """Values under one scale, with two significant digits of their standard deviation.
 
-    Without a standard deviation four significant digits of the largest value.
+    Without one with four significant digits of the largest; what differs is shown to differ.
     """
+    values, sd = [value / scale.factor for value in values], sd / scale.factor
+    known = [value for value in values if math.isfinite(value)]
     if sd > 0.0 and math.isfinite(sd):
         decimals = DIGITS - 1 - math.floor(math.log10(float(f"{sd:.1e}")))
     else:
-        largest = max(map(abs, values), default=0.0)
+        largest = max(map(abs, known), default=0.0)
         decimals = 3 - math.floor(math.log10(largest)) if largest > 0.0 else 0
     decimals = min(max(decimals, 0), MOST_DECIMALS)
-    while decimals < MOST_DECIMALS and len({f"{v:.{decimals}f}" for v in values}) < len(set(values)):
+    while decimals < MOST_DECIMALS and len({f"{v:.{decimals}f}" for v in known}) < len(set(known)):
         decimals += 1
-    return decimals
-
-
-def fixed(values, sd: float, scale: Scale) -> list[str]:
-    """Values under one scale, with the decimals that their standard deviation allows."""
-    shown = [value / scale.factor for value in values]
-    decimals = decimals_for(sd / scale.factor, [v for v in shown if math.isfinite(v)])
-    return [f"{value:.{decimals}f}" if math.isfinite(value) else "" for value in shown]
-
-
-def quantity(value: float, sd: float, unit: str) -> str:
-    """One value in a sentence: `21.99 MN/m`, or `340×10⁻⁶`."""
-    scale = scale_of(value, unit)
-    [text] = fixed([value], sd, scale)
-    return text if scale.unit == "-" else f"{text}{'×' if scale.unit.startswith('10') else ' '}{scale.unit}"
-
-
-#: Columns of predictions.
-PREDICTED = ("motion", "largest", "unit", "5 %", "50 %", "95 %", "limit", "probability")
+    return [f"{value:.{decimals}f}" if math.isfinite(value) else "" for value in values]
 
 
 def interval_texts(quantiles, unit: str) -> tuple[str, list[str]]:
@@ -146,7 +114,7 @@ def cells(table: list[Row]) -> list[tuple[str, ...]]:
     for row in table:
         scale = scales[row.name, row.unit]
         places = fixed([row.q05, row.q50, row.q95], row.sd, scale)
-        mean = f"{row.mean / scale.factor:.{decimals_of(places[1])}f}"
+        mean = f"{row.mean / scale.factor:.{len(places[1].partition('.')[2])}f}"
         [sd] = fixed([row.sd], row.sd, scale)
         told = [
             form.format(value) if math.isfinite(value) else ""
@@ -154,11 +122,6 @@ def cells(table: list[Row]) -> list[tuple[str, ...]]:
         ]
         found.append((row.kind, row.name, scale.unit, *places, mean, sd, *told))
     return found
-
-
-def decimals_of(text: str) -> int:
-    """Decimals of a number that is written."""
-    return len(text.partition(".")[2])
 
 
 def as_csv(table: list[Row]) -> str:
@@ -180,15 +143,9 @@ def as_latex(table: list[Row]) -> str:
 
 def escaped(text: str) -> str:
     """A text in LaTeX; raised digits are exponents."""
-    found, raised = "", ""
-    for letter in f"{text}\0":
-        if letter in LOWERED:
-            raised += LOWERED[letter]
-            continue
-        found += f"$^{{{raised}}}$" if raised else ""
-        raised = ""
-        found += SPECIAL.get(letter, letter)
-    return found.removesuffix("\0")
+    text = "".join(SPECIAL.get(letter, letter) for letter in text)
+    raised = f"[{''.join(map(chr, LOWERED))}]+"
+    return re.sub(raised, lambda found: f"$^{{{found[0].translate(LOWERED)}}}$", text)
 
 
 def predicted_quantities(result):
@@ -198,19 +155,6 @@ def predicted_quantities(result):
         for name in data.data_vars:
             if str(name).endswith("_peak"):
                 yield title, data, str(name).removesuffix("_peak")
-
-
-def predicted_cells(rows) -> list[tuple[str, ...]]:
-    """Texts of `PredictedRow`s, in the order of `PREDICTED`."""
-    found = []
-    for row in rows:
-        scale = scale_of(max(map(abs, row.quantiles)), row.unit)
-        unit, texts = interval_texts(row.quantiles, row.unit)
-        limit = ("", "")
-        if row.limit is not None:
-            limit = (f"{row.limit / scale.factor:.4g}", f"{row.probability:.3f}")
-        found.append((row.motion, row.quantity, unit, *texts, *limit))
-    return found
 
 
 def is_number(text: str) -> bool:
