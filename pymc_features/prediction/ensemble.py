@@ -12,9 +12,8 @@ import numpy as np
 
 from pymc_features.exceptions import TooStiffError
 from pymc_features.prediction.histories import block_size
-from pymc_features.prediction.history_file import HistoryFile
 from pymc_features.prediction.marched import Chains, Oscillators
-from pymc_features.prediction.simulated import Simulated
+from pymc_features.prediction.simulated import HistoryFile, Simulated
 from pymc_features.simulators.excitation import refined_request
 from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.quantities import HISTORIES, Rows, checked_request, rows_of

@@ -287,7 +287,7 @@ def test_files_are_closed(idata, fails, monkeypatch):
             raise RuntimeError("no structure")
         return bouc_wen(k)
 
-    monkeypatch.setattr("pymc_features.prediction.history_file.SpooledTemporaryFile", opened)
+    monkeypatch.setattr("pymc_features.prediction.simulated.SpooledTemporaryFile", opened)
     names = ["base_shear", "relative_velocity"]
     if fails:
         with pytest.raises(RuntimeError, match="no structure"):

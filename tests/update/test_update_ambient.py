@@ -129,7 +129,7 @@ def test_what_is_said_of_it(updated, capsys):
     )
     assert "all 2 identified modes" in found.sentences[1]
     frequencies = building(TRUE["k1"], TRUE["k2"], 0.02).modes().natural_frequencies
-    rows = found.modes["AMBIENT"]
+    rows = problem.modal.rows(result["AMBIENT/matched"])
     np.testing.assert_allclose([row.measured for row in rows], frequencies, rtol=0.01)
     assert [row.partner for row in rows] == [1, 2] and all(row.mac[1] > 0.99 for row in rows)
     page = (out / "report.html").read_text()
