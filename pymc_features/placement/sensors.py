@@ -29,7 +29,7 @@ from pymc_features._checks import (
     shown,
     single,
 )
-from pymc_features.calibration.fit import Predictions, events_at
+from pymc_features.calibration.residuals import Predictions, events_at
 from pymc_features.inference.parameters import check_continuous, posterior_for, to_unconstrained
 from pymc_features.smc import prior_points
 

@@ -11,7 +11,7 @@ from importlib import import_module
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pymc_features.update.config.file import read_config as read_config
+    from pymc_features.update.configuration import read_config as read_config
     from pymc_features.update.examples import write_example as write_example
     from pymc_features.update.problem import Problem as Problem
     from pymc_features.update.problem import read_problem as read_problem
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 PLACES = {
     "Problem": "problem",
-    "read_config": "config.file",
+    "read_config": "configuration",
     "read_problem": "problem",
     "run_update": "run",
     "write_example": "examples",

@@ -10,15 +10,15 @@ import xarray as xr
 
 from pymc_features.events import compare, hierarchical
 from pymc_features.exceptions import ConfigError
-from pymc_features.update.config.file import validated
 from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.priors import Prior
+from pymc_features.update.configuration import validated
 from pymc_features.update.kinds import KINDS
 from pymc_features.update.kinds.base import QUANTILES, table
 from pymc_features.update.kinds.model import declare
 from pymc_features.update.problem import Problem, problem_of
-from pymc_features.update.report.numbers import interval_texts
 from pymc_features.update.sampling import RunSettings, run_parts, seed_of
+from pymc_features.update.templates.numbers import interval_texts
 
 GIVEN = "[structure]"  # what the structure of the file is called
 LEFT_OUT = ("compare", "predict", "hierarchical")  # sections that are those of the file alone

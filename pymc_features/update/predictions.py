@@ -15,7 +15,7 @@ from pymc_features.records import Record
 from pymc_features.update.config.messages import named_key
 from pymc_features.update.config.sections import QUANTITIES, RecordFile, key
 from pymc_features.update.kinds.base import QUANTILES, table
-from pymc_features.update.report.numbers import interval_texts, predicted_quantities, scale_of
+from pymc_features.update.templates.numbers import interval_texts, predicted_quantities, scale_of
 
 DRAWS = 500
 PREDICTION = "prediction"

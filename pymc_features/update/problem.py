@@ -11,10 +11,10 @@ import numpy as np
 
 from pymc_features.exceptions import ConfigError, PriorWarning
 from pymc_features.structures import Structure
-from pymc_features.update.config.file import Config, read_config
 from pymc_features.update.config.messages import named_key, shown
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.config.structures import StructureOf, modes_of
+from pymc_features.update.configuration import Config, read_config
 from pymc_features.update.kinds import KINDS, KINDS_OF_DATA
 from pymc_features.update.kinds.base import KindOfData, Setting, Verdict
 from pymc_features.update.kinds.external import ProgramOf

@@ -10,7 +10,7 @@ import xarray as xr
 from pymc_features.exceptions import ConfigError
 from pymc_features.records import Record
 from pymc_features.update.comparisons import candidates_of, compared, members_of, populations
-from pymc_features.update.config.file import read_config
+from pymc_features.update.configuration import read_config
 from pymc_features.update.kinds.model import kinds_of
 from pymc_features.update.kinds.shapes import geometry, mode_shapes
 from pymc_features.update.predictions import check_predictions, predictions

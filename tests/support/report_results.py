@@ -5,7 +5,7 @@ import json
 import numpy as np
 import xarray as xr
 
-from pymc_features.update.report.numbers import Row
+from pymc_features.update.templates.numbers import Row
 
 
 def large_result(kinds=("CAL", "NORM"), sensors=10, samples=10_000, seed=0) -> xr.DataTree:

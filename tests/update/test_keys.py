@@ -5,7 +5,7 @@ import typing
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from pymc_features.update.config.file import Config
+from pymc_features.update.configuration import Config
 
 IMPOSSIBLE = [[{"x": [[]]}]]  # lists of lists of tables are nothing that any key may be
 

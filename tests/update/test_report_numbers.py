@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from pymc_features.update.report.numbers import (
+from pymc_features.update.templates.numbers import (
     COLUMNS,
     Row,
     as_csv,

@@ -7,7 +7,7 @@ from pymc_features import cli
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config import priors
 from pymc_features.update.config import structures as structure_sections
-from pymc_features.update.config.file import read_config
+from pymc_features.update.configuration import read_config
 from support.update_files import SIGMA, variant
 
 BROKEN = {  # what is said: what is changed, into what

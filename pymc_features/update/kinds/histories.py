@@ -32,7 +32,7 @@ from pymc_features.update.kinds.base import (
 )
 from pymc_features.update.kinds.channels import Measured
 from pymc_features.update.kinds.model import kinds_of, thinned
-from pymc_features.update.report.numbers import interval_texts
+from pymc_features.update.templates.numbers import interval_texts
 
 DRAWS = 200
 COMPONENTS, HELD = 6, 0.999  # at most so many, or as many as hold this share of the variance of responses

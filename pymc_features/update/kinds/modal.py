@@ -44,7 +44,7 @@ from pymc_features.update.kinds.model import (
 )
 from pymc_features.update.kinds.shapes import Points, mode_shapes, points_of, read_nodes
 from pymc_features.update.plausibility.findings import of_modes
-from pymc_features.update.report.numbers import Scale, fixed
+from pymc_features.update.templates.numbers import Scale, fixed
 
 MODAL = Likelihood(
     "MODAL",

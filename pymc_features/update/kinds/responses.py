@@ -28,7 +28,7 @@ from pymc_features.update.kinds.channels import Measured, checked_dofs, read_mea
 from pymc_features.update.kinds.histories import DRAWS, Histories, check_likelihood
 from pymc_features.update.plausibility.findings import mode_rows, scales
 from pymc_features.update.plausibility.transfer import prior_bands
-from pymc_features.update.report.numbers import pretty
+from pymc_features.update.templates.numbers import pretty
 
 GAINS = ("sensor", "gain [-]", "lag [ms]", "coherence [-]")
 EXPECTED = ("mode", "priors [Hz]", "data [Hz]", "priors [%]", "damping of data [%]", "seen by")

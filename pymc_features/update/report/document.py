@@ -32,7 +32,7 @@ from pymc_features.update.kinds.histories import bounds_of
 from pymc_features.update.kinds.model import kinds_of
 from pymc_features.update.predictions import PREDICTION, predicted_rows, predicted_table
 from pymc_features.update.problem import Problem
-from pymc_features.update.report.numbers import Row, pretty
+from pymc_features.update.templates.numbers import Row, pretty
 
 PACKAGES = ("pymc-features", "pymc", "pytensor", "numba", "numpy", "arviz")
 R_HAT = 1.05  # of chains of SMC that agree; they are few and short

@@ -9,8 +9,8 @@ from pymc_features.update.kinds.base import Figure
 from pymc_features.update.kinds.model import kinds_of
 from pymc_features.update.problem import Problem
 from pymc_features.update.report.document import document_of
-from pymc_features.update.report.numbers import as_csv, as_latex, rows_of
 from pymc_features.update.report.page import page_of
+from pymc_features.update.templates.numbers import as_csv, as_latex, rows_of
 
 
 def write_outputs(problem: Problem, result, folder, channel_warnings=()) -> list[Path]:

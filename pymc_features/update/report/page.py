@@ -11,7 +11,9 @@ from pathlib import Path
 import xarray as xr
 
 from pymc_features.storage import write_atomically
-from pymc_features.update.report.numbers import (
+from pymc_features.update.report.payload import payload_of
+from pymc_features.update.templates import TEMPLATES
+from pymc_features.update.templates.numbers import (
     COLUMNS,
     N_TEXTS,
     as_csv,
@@ -20,8 +22,6 @@ from pymc_features.update.report.numbers import (
     is_number,
     rows_of,
 )
-from pymc_features.update.report.payload import payload_of
-from pymc_features.update.templates import TEMPLATES
 
 
 def write_page(source, out=None) -> Path:

@@ -10,7 +10,7 @@ import json
 import numpy as np
 import xarray as xr
 
-from pymc_features.update.report.numbers import interval_texts, predicted_quantities, rows_of, scale_of
+from pymc_features.update.templates.numbers import interval_texts, predicted_quantities, rows_of, scale_of
 
 BUDGET = 950_000  # characters of all responses and their spectra
 DRAWS = 600  # in the pair plot

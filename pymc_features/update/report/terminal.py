@@ -4,7 +4,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from pymc_features.update.report.numbers import COLUMNS, cells, is_number, rows_of
+from pymc_features.update.templates.numbers import COLUMNS, cells, is_number, rows_of
 
 # of the posterior, as many as 80 characters hold
 SHOWN = ("parameter", "unit", "5 %", "50 %", "95 %", "sd", "learned", "R-hat", "ESS")

@@ -1,4 +1,4 @@
-"""Texts that `update` fills in: the page of the report, and examples of a configuration."""
+"""What `update` fills in: the page of the report, examples of a configuration, and numbers for people."""
 
 import jinja2
 
