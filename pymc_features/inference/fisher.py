@@ -111,8 +111,9 @@ def fisher_information(model: pm.Model | None = None, point: dict | None = None)
 
     Notes
     -----
-    One forward and one reverse derivative for each parameter; no Jacobian is stored. The forward ones of
-    nonlinear chains are differences, which make the information right to 1e-5 (`simulators/nonlinear`).
+    One forward and one reverse derivative for each parameter; no Jacobian is stored. The forward ones are
+    differences of two responses, which make the information right to 1e-5 of nonlinear chains, and to 1e-6 of
+    linear structures (`simulators/oscillators/differences.py`).
 
     Examples
     --------

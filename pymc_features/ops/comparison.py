@@ -100,6 +100,13 @@ class MisfitGradient(FromTable, Gradient):
         self.n_statistics = n_statistics
 
     @property
+    def kernel(self):
+        """That of e_j alone, if there is one, where nothing else is weighted."""
+        alone = self.kernel_name.replace("misfit_", "").replace("gradient", "discrepancy_gradient")
+        kernel = self.spec.kernels.get(alone) if self.n_statistics == 1 else None
+        return kernel or super().kernel
+
+    @property
     def more_signature(self):
         """Shapes of the data and of c."""
         return f"(s,u),(s,{self.n_statistics})"

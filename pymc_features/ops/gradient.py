@@ -1,4 +1,4 @@
-"""Ops of the gradients: reverse mode and, as its transpose, forward mode.
+"""Ops of the gradients: reverse mode and, as its transpose, forward mode, by differences of responses.
 
 The reverse Op of each response Op is linear in its cotangent; its derivative by that is the forward Op, and
 the other way round. So forward mode, Gauss-Newton and Fisher products work. Second derivatives by the

@@ -14,6 +14,8 @@ population_discrepancy  data                                (p, s), with paramet
 population_misfit       data                                (p, s, 4)
 population_systems      data                                modes, see `long_records`, or None; may lack
 population_gradient     data, weights (p, s, 1) or (.., 4)  gradients in the shapes of the parameters
+discrepancy_gradient    data, weights (s, 1)                as misfit_gradient; of a population (p, s, 1)
+                                                            as population_...; both may lack
 gradient_systems        data                                modes of those of whom there is the following
 gradient_of_sums        sums over time, see `reduction`     as population_gradient; both may lack
 
@@ -34,8 +36,10 @@ from pymc_features.simulators.chain.kernels import (
     chain_misfit,
     chain_response,
     chain_systems,
+    discrepancy_gradient,
     misfit_gradient,
     population_discrepancy,
+    population_discrepancy_gradient,
     population_gradient,
     population_misfit,
     response_gradient,
@@ -173,6 +177,8 @@ FAMILIES = {
             "misfit": chain_misfit,
             "response_gradient": response_gradient,
             "misfit_gradient": misfit_gradient,
+            "discrepancy_gradient": discrepancy_gradient,
+            "population_discrepancy_gradient": population_discrepancy_gradient,
             **tangents(chain_response, 4, SMOOTH),
             "population_discrepancy": population_discrepancy,
             "population_misfit": population_misfit,

@@ -23,7 +23,7 @@ def test_cache_key_holds_type_quantity_and_kernel_source(monkeypatch):
     keys = {numba_dispatch.cache_key(op(quantity)) for op in OPS for quantity in QUANTITIES}
     assert len(keys) == len(OPS) * len(QUANTITIES)
     given = SimpleNamespace(type=SimpleNamespace(shape=(5, 100)))  # data of few samples
-    node = SimpleNamespace(inputs=[given] * 20)
+    node = SimpleNamespace(inputs=[given] * 20, outputs=[pt.vector()])
     assert all(numba_dispatch.funcify(op(), node)[1] == numba_dispatch.cache_key(op()) for op in OPS)
     assert set(numba_dispatch.OPS) == set(OPS)
     monkeypatch.setattr(numba_dispatch, "source_hash", lambda module: "edited")

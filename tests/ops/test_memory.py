@@ -93,18 +93,18 @@ PEAK_GROWTH = """
 def test_peaks_do_not_grow_with_histories_and_particles(tmp_path):
     """Growth of the peak over the size of the data, in one process.
 
-    Of gradients, where forward mode, which returns a history, is the negative control; of a discrepancy,
-    whose unfused graph is it; of 100 particles of 10 x 15590, with the histories of all as control. Two
-    tables of the data under a record refined twice take a few histories there, whatever the number of
-    particles. Of gradients of 64 by machine code, which are those of the kernels that Python calls and of the
-    control, which has 16.
+    Of gradients, where forward mode, which returns a history, is the negative control, and of a discrepancy,
+    whose unfused graph is it: they copy the record, a tenth of the data. Of 100 particles of 10 x 15590, with
+    the histories of all as control. Two tables of the data under a record refined twice take a few histories
+    there, whatever the number of particles. Of gradients of 64 by machine code, which are those of the
+    kernels that Python calls and of the control, which has 16.
     """
     pytest.importorskip("resource")
     gradients, discrepancy, populations, slopes = run_python(PEAK_GROWTH, tmp_path).splitlines()
     single, batch, forward = map(float, gradients.split())
-    assert max(single, batch) < 0.1 and forward > 0.9
+    assert max(single, batch) < 0.15 and forward > 0.9
     fused, unfused = map(float, discrepancy.split())
-    assert fused < 0.1 and unfused > 0.9
+    assert fused < 0.15 and unfused > 0.9
     fused, gradient, unfused = map(float, populations.split())
     assert max(fused, gradient) < 12.0 and unfused > 30.0
     fused, unfused = map(float, slopes.split())

@@ -30,7 +30,9 @@ def flat(family: str, name: str):
         len(spec.inputs),
         name in ("discrepancy_gradient", "population_gradient"),
     )
-    run = spec.kernels["misfit_gradient" if name == "discrepancy_gradient" else name]
+    alone = {"discrepancy_gradient": "misfit_gradient", "population_gradient": "population_gradient"}
+    lean = name.replace("population_gradient", "population_discrepancy_gradient")
+    run = spec.kernels[lean if name in alone and lean in spec.kernels else alone.get(name, name)]
 
     def kernel(*given):
         if np.ndim(given[at]) != np.ndim(NO_DIRECT):

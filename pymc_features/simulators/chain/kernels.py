@@ -321,6 +321,23 @@ def population_gradient(parameters, excitation, wanted, observed, weights):
 
 
 @jit
+def discrepancy_gradient(parameters, excitation, wanted, observed, weights):
+    """`misfit_gradient` by weights (s, 1) of e_j alone, which needs no response and compiles in less time."""
+    gradients = zeros_like(parameters)
+    add_chain_gradient(parameters, excitation, wanted, observed, weights, False, gradients)
+    return gradients
+
+
+@jit
+def population_discrepancy_gradient(parameters, excitation, wanted, observed, weights):
+    """`population_gradient` by weights (p, s, 1) of e_j alone."""
+    gradients = zeros_like(parameters)
+    check_population(parameters, excitation, wanted, observed)
+    add_chain_gradients(parameters, excitation, wanted, observed, weights, gradients)
+    return gradients
+
+
+@jit
 def chain_systems(parameters, excitation, wanted, observed):
     """`Systems` of all particles, for the tables of `long_records`.
 

@@ -1,6 +1,4 @@
-"""Misfits of many chains at once; see `oscillators.population` for how.
-
-Modes of many chains at once, one in each vector lane; those of `modes.chain_modes` up to rounding.
+"""Modes of many chains at once, one in each vector lane; those of `modes.chain_modes` up to rounding.
 
 Modes of many chains as the sensors have them: of the shapes only the rows that a discrepancy needs.
 

@@ -119,7 +119,7 @@ def order_of(quantity):
 
 @jit
 def write_pair(oscillators, pairs, modes, r, p, quantity):
-    """Write pair r, place p of the panel, into the pairs of `eigen.pairs` and `PairLanes`."""
+    """Write pair r, place p of the panel, into `Pairs` and `PairLanes`."""
     at, m = mode_places(modes), modes.omega.shape[0]
     (a, b), square = pole_of(at, p)
     store(pairs.poles, 3 * r, a)
@@ -187,7 +187,7 @@ def smaller(x, y):
 
 @jit
 def poles_apart(pairs, duration):
-    """One in the lanes where no two poles are close, as in `close_modes`; zero elsewhere."""
+    """One in the lanes where no two poles are close, as in `reduction.nearness`; zero elsewhere."""
     m, one, zero = pairs.poles.shape[0] // 3, splat(1.0), splat(0.0)
     apart = one
     for k in range(m):

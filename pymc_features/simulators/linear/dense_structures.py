@@ -14,7 +14,6 @@ from pymc_features.simulators.linear.dense import is_finite, solve_dense
 from pymc_features.simulators.long_records.systems import new_systems, put_modes
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION
 from pymc_features.simulators.oscillators.march import evaluate, new_walk
-from pymc_features.simulators.oscillators.misfit import weigh_history
 from pymc_features.simulators.oscillators.modal_lanes import (
     NO_DAMPING,
     clear,
@@ -306,33 +305,6 @@ def is_share_known(parameters, wanted):
     is_acceleration = wanted.quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION)
     is_moved = wanted.n_modes == parameters.influence.shape[0] and not np.any(parameters.forces != 0.0)
     return is_moved or not is_acceleration
-
-
-@jit
-def add_misfit_gradient(parameters, own, excitation, wanted, observed, weights, gradients):
-    """Add the gradient by the first statistic (s, 1), or by all (s, 4): for these the response is kept."""
-    history, is_given = observed, weights.shape[1] > 1
-    if is_given:
-        history = np.empty(observed.shape)
-        evaluate_structure(parameters, own, excitation, wanted, observed, history)
-        weigh_history(history, observed, weights)
-    first = weights[:, :1].copy()
-    add_dense_gradient(parameters, own, excitation, wanted, history, first, is_given, gradients)
-
-
-@jit
-def add_population_gradient(parameters, excitation, wanted, observed, weights, gradients):
-    """Add the gradients of all particles; what they share, in one row, gets the sum.
-
-    theta, rayleigh and ratios, and `gradients` of their shapes, have one more axis in front; `weights` are
-    (p, s, 1) or (p, s, 4).
-    """
-    if weights.shape[2] == 1 and excitation.acceleration.shape[0] == 1:
-        add_dense_gradients(parameters, excitation, wanted, observed, weights, gradients)
-        return
-    for p in range(weights.shape[0]):
-        own, own_gradients = rows_of(parameters[:3], p), rows_of(gradients, p)
-        add_misfit_gradient(parameters, own, excitation, wanted, observed, weights[p], own_gradients)
 
 
 @jit

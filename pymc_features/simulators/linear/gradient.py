@@ -12,13 +12,14 @@ from pymc_features.simulators.linear import oscillators, state_space
 from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
 from pymc_features.simulators.linear.dense_structures import (
     add_dense_gradient,
-    add_misfit_gradient,
-    add_population_gradient,
+    add_dense_gradients,
+    evaluate_structure,
     is_share_known,
     spread_population,
 )
 from pymc_features.simulators.linear.projection import to_parameters
 from pymc_features.simulators.linear.system import solved, solved_alone
+from pymc_features.simulators.oscillators.misfit import weigh_history
 
 
 def linear_response_gradient(parameters, excitation, wanted, cotangent) -> tuple:
@@ -62,12 +63,17 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
     count = n_particles(parameters, weights)
     sums = tuple(np.zeros(array.shape) for array in parameters.random)
     a, first = Arguments(parameters, excitation, wanted), parameters.one_of(0)
-    if first.is_dense and first.is_classical:
-        a._replace(parameters=first).check(observed, weights[0])
-        data = writable(observed), writable(weights)
-        add_population_gradient(parameters.for_kernel(), a.inputs, a.outputs, *data, sums)
-        return sums
     a._replace(parameters=first).check(observed, weights[0])
+    if first.is_dense and first.is_classical:
+        kernel = parameters.for_kernel()
+        if weights.shape[2] == 1 and excitation.acceleration.shape[0] == 1:
+            data = writable(observed), writable(weights)
+            add_dense_gradients(kernel, a.inputs, a.outputs, *data, sums)
+            return sums
+        for p in range(count):
+            own, part = (tuple(x[p % len(x)] for x in arrays) for arrays in (kernel.random, sums))
+            add_alone(a, kernel, own, observed, weights[p], part)
+        return sums
     is_done = np.zeros(count, dtype=bool)
     if in_complex_modes(a._replace(parameters=first), weights):
         data = writable(observed), writable(weights)
@@ -98,17 +104,28 @@ def in_complex_modes(a, weights) -> bool:
     return is_simple and is_whole and is_known and is_symmetric(given.damping, given.n_dof)
 
 
+def add_alone(a, kernel, own, observed, weights, sums):
+    """Add the gradient of a dense structure by e_j (s, 1), or by all statistics (s, 4), from its response."""
+    data, is_given = writable(observed), weights.shape[1] > 1
+    history = np.empty(data.shape) if is_given else data
+    if is_given:
+        evaluate_structure(kernel, own, a.inputs, a.outputs, data, history)
+        weigh_history(history, data, writable(weights))
+    factors = writable(weights[:, :1])
+    add_dense_gradient(kernel, own, a.inputs, a.outputs, history, factors, is_given, sums)
+
+
 def gradient(a, history, weights):
     """Gradient of sum w y, w the `history`, or of the misfit's statistics with `weights` and the data."""
     given = a.parameters
     if given.is_dense and given.is_classical:
         sums = tuple(np.zeros(array.shape) for array in given.random)
         kernel = given.for_kernel()
-        whole = kernel, kernel.random, a.inputs, a.outputs, writable(history)
         if weights is None:
+            whole = kernel, kernel.random, a.inputs, a.outputs, writable(history)
             add_dense_gradient(*whole, np.zeros((len(history), 1)), True, sums)
         else:
-            add_misfit_gradient(*whole, writable(weights), sums)
+            add_alone(a, kernel, kernel.random, history, weights, sums)
         return sums
     if weights is not None and in_complex_modes(a, weights):
         one = given._replace(**{name: getattr(given, name)[None] for name in ("theta", "rayleigh", "ratios")})

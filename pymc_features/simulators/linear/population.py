@@ -1,6 +1,6 @@
 """Misfits of populations of linear structures: modes one by one, the recursion for several at once.
 
-Dense structures with classical damping under one input stay in compiled code, `dense_population`.
+Dense structures with classical damping under one input stay in compiled code, `dense_structures`.
 
 theta, rayleigh and ratios have one more axis in front, a row for each particle or one for all.
 """

@@ -13,7 +13,7 @@ For a change of K and M, mode r changes outside the span of the kept modes by
 
 where ^+ is the inverse on the M-orthogonal complement of the kept modes: there K - lambda_r M is positive
 definite, for the modes left out are higher, and what has no mass is part of it. Changes within that span are
-treated in `close_modes`.
+treated in `oscillators.reduction`.
 """
 
 from typing import NamedTuple

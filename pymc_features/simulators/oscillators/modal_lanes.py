@@ -71,7 +71,7 @@ class ModalLanes(NamedTuple):
     is_complete : bool
         Whether these are all modes of the structures.
     in_pairs : bool
-        Whether modes are those of `eigen.pairs`.
+        Whether modes are pairs of `eigen.complex_modes`.
     step : float
         Of the recursion [s].
     quantity : int
