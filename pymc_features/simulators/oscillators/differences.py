@@ -7,8 +7,8 @@ With y(h) the response at parameters p + h d, d the direction,
 and its mirror image where only one side is a structure, for example at n = 1 of Bouc-Wen springs. Both are of
 second order in h. A direction costs two responses, and a gradient two for each number that it is wanted by.
 
-Linear structures: the response changes by 3e-7 to 1.5e-5 of its peak, which leaves 1e-10 to 3e-8 of the
-derivative in rounding errors and third derivatives; 1e-5 where `n_modes` cuts between modes that are close.
+Linear structures: the response changes by 2e-6 to 1e-4 of its peak, which leaves 1e-10 to 3e-8 of the
+derivative in rounding errors and third derivatives; 4e-7 where `n_modes` cuts between modes 1e-5 apart.
 Springs that yield: no parameter changes by more than 1e-5 of its size, and the response by no more than 1e-3
 of its peak, which is small enough for the kinks of the law and large beside rounding errors. The Fisher
 information of Bouc-Wen chains (n = 1, 1.2 and 2) and Duffing chains with 3 and 10 storeys under El Centro is
@@ -30,7 +30,7 @@ class Steps(NamedTuple):
     largest_change: float
 
 
-SMOOTH, WITH_KINKS = Steps(1e-7, 3e-7, 1.5e-5), Steps(1e-5, 0.0, 1e-3)
+SMOOTH, WITH_KINKS = Steps(1e-6, 2e-6, 1e-4), Steps(1e-5, 0.0, 1e-3)
 FIRST_STEP = 1e6  # in units of the direction, where all that changes is zero and has no size
 TRIALS = 30
 OF_MANY_UNITS = ("rayleigh", "theta")  # their entries are of different sizes
