@@ -310,7 +310,7 @@ def test_more_modes_than_the_structure_has(tmp_path):
         (
             'error = "noise"',
             "error = -1.0",
-            "`ambient.error` must be positive, got -1",
+            "`ambient` must have positive spectral densities as `error`, got -1",
         ),
         (
             '["first", "roof"]',
