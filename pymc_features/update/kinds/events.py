@@ -28,10 +28,8 @@ from pymc_features.update.kinds.responses import Responses
 
 FEWEST_DRAWS = 100  # to which a density is fitted
 FOLDER = "sequence"  # beside the parts of an update
-COLUMNS = (
-    *("likelihood", "event", "log score", "standard error", "of a structure unknown before"),
-    *("probability of a change", ""),
-)
+SCORES = ("event", "log score", "standard error", "of a structure unknown before", "probability of a change")
+COLUMNS = ("likelihood", *SCORES, "")
 UNTOLD = 10.0  # standard error of a log score from which on its draws are too few to tell it
 CANNOT_BE_TOLD = "cannot be told"
 MEANING = (
