@@ -25,9 +25,20 @@ from pymc_features.update.predictions import check_predictions
 
 FIRST = 5  # natural frequencies in a sentence
 #: Keys that change no draw, or, as the tolerance, those of ABC alone; an event is recognised by its data.
-WITHOUT_EFFECT = tuple(
-    "report modal.nodes likelihood.kinds likelihood.epsilon sampler.cores predict sensitivity compare "
-    "hierarchical external.cache events.folder events.pattern events.files".split()
+WITHOUT_EFFECT = (
+    "report",
+    "modal.nodes",
+    "likelihood.kinds",
+    "likelihood.epsilon",
+    "sampler.cores",
+    "predict",
+    "sensitivity",
+    "compare",
+    "hierarchical",
+    "external.cache",
+    "events.folder",
+    "events.pattern",
+    "events.files",
 )
 
 
