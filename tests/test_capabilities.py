@@ -53,8 +53,8 @@ CAPABILITIES = {  # file: what a user can do: the test
     "simulators/test_band_limited.py": {
         "response: coarse and fine outputs": "test_outputs_between_the_samples_and_fewer",
     },
-    "simulators/test_mean_squares.py": {
-        "response: several inputs": "test_several_inputs",
+    "simulators/test_record_tables.py": {
+        "response: several inputs": "test_several_inputs_and_coupled_modes_are_marched",
     },
     "simulators/test_massless.py": {
         "response: massless": "test_histories_are_those_of_the_condensed_structure",
@@ -143,7 +143,7 @@ CAPABILITIES = {  # file: what a user can do: the test
         "sampling: laplace": "test_laplace_is_exact_for_a_gaussian",
         "sampling: fisher_information": "test_fisher_of_a_regression_is_exact",
     },
-    "calibration/test_spectrum.py": {
+    "calibration/test_sandwich.py": {
         "calibration: effective_samples": "test_mean_of_a_process_of_first_order",
         "calibration: CAL of responses": "test_coverage",
         "calibration: CAL with gaps": "test_coverage_with_gaps",
