@@ -146,7 +146,7 @@ CAPABILITIES = {  # file: what a user can do: the test
     "calibration/test_sandwich.py": {
         "calibration: effective_samples": "test_mean_of_a_process_of_first_order",
         "calibration: CAL of responses": "test_coverage",
-        "calibration: CAL with gaps": "test_coverage_with_gaps",
+        "calibration: CAL with gaps": "test_coverage",
     },
     "calibration/test_events.py": {
         "calibration: event_check": "test_joint_q_is_chi_square",
