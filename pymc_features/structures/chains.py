@@ -211,6 +211,9 @@ class SpringMassChain(Chain):
 
     family = "chain"
 
+    def __init__(self, mass: Values, stiffness: Values, damping: Damping):
+        super().__init__(mass, stiffness, damping)
+
     def as_linear(self) -> AffineStructure:
         """Return the same structure by its matrices; its theta are the masses, then the springs."""
         n = self.n_dof

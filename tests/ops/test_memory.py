@@ -10,7 +10,7 @@ PEAK_GROWTH = """
     from pymc_features import CorrelatedNormal, ModalDamping, SpringMassChain, mean_square_discrepancy
     from pymc_features import paper, response, synthetic_earthquake
     from support.straight import Record
-    from pymc_features.ops import misfit_statistics, numba_dispatch
+    from pymc_features.ops import long_records, misfit_statistics
     from pymc_features.simulators import FAMILIES
     from pymc_features.smc.density.evaluation import population_logp
     from support.graphs import PLAIN
@@ -39,8 +39,8 @@ PEAK_GROWTH = """
     print(*(growth(function)[0] / measured.nbytes for function in calls(n_times)))
 
     # the discrepancy in a graph
-    shortest = numba_dispatch.FEWEST_ALONE
-    numba_dispatch.FEWEST_ALONE = np.inf  # a table of the data takes some times their size, once
+    shortest = long_records.FEWEST_ALONE
+    long_records.FEWEST_ALONE = np.inf  # a table of the data takes some times their size, once
     node = response(SpringMassChain(np.ones(n), 1800.0, ModalDamping(0.05)), Record(np.ones(5), 0.02)).owner
     record = pytensor.shared(np.ones(5), shape=(None,))
     data = pytensor.shared(np.ones((n, 5)), shape=(n, None))
@@ -54,7 +54,7 @@ PEAK_GROWTH = """
     (grown, one), (control, other) = growth(fused), growth(unfused)
     np.testing.assert_allclose(one, other, rtol=1e-11)
     print(grown / measured.nbytes, control / measured.nbytes)
-    numba_dispatch.FEWEST_ALONE = shortest
+    long_records.FEWEST_ALONE = shortest
 
     # populations
     def evaluations(change, *modes):
@@ -96,7 +96,8 @@ def test_peaks_do_not_grow_with_histories_and_particles(tmp_path):
     Of gradients, where forward mode, which returns a history, is the negative control, and of a discrepancy,
     whose unfused graph is it: they copy the record, a tenth of the data. Of 100 particles of 10 x 15590, with
     the histories of all as control. Two tables of the data under a record refined twice take a few histories
-    there, whatever the number of particles. Of gradients of 64 by machine code, which are those of the
+    there, whatever the number of particles. Of gradients of 64 by four statistics, by machine code, which
+    keep the history of one at a time (1.5 with what is beside it, for 1 to 256 particles) and are those of the
     kernels that Python calls and of the control, which has 16.
     """
     pytest.importorskip("resource")
@@ -108,4 +109,4 @@ def test_peaks_do_not_grow_with_histories_and_particles(tmp_path):
     fused, gradient, unfused = map(float, populations.split())
     assert max(fused, gradient) < 12.0 and unfused > 30.0
     fused, unfused = map(float, slopes.split())
-    assert fused < 1.0 and unfused > 16.0
+    assert fused < 2.0 and unfused > 16.0

@@ -379,6 +379,8 @@ def test_kernels_refuse_to_read_outside_their_arrays():
             discrepancy_tangent(*arguments, wrong, *d)
     with pytest.raises(ValueError, match="must have the shapes of the parameters"):
         response_tangent(*arguments, *random_chain(4)[:4])
-    for function, more in ((response_gradient, [np.zeros((3, 150))]), (response_tangent, d)):
-        with pytest.raises(ValueError, match="must have equal lengths"):
-            function(arguments[0], np.ones(2), *arguments[2:], *more)
+    unequal = arguments[0], np.ones(2), *arguments[2:]
+    with pytest.raises(ValueError, match="must have equal lengths"):
+        response_gradient(*unequal, np.zeros((3, 150)))
+    with pytest.raises(ValueError, match="must have the shapes of the parameters"):
+        response_tangent(*unequal, *d)

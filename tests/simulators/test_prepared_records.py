@@ -106,10 +106,10 @@ def test_a_model_has_the_response_of_simulate(case, quantity):
     of_batch = pytensor.function([rows], [batch, pytensor.grad(batch.sum(), rows)])
     response, alone, gradient = run(AT)
     assert abs(response - expected).max() < 1e-9 * abs(expected).max()
-    np.testing.assert_allclose(alone, 1.0, rtol=1e-9)
+    is_marched = case != "hysteretic"  # histories of which take other steps than mean squares
+    np.testing.assert_allclose(alone, 1.0, rtol=1e-9 if is_marched else 1e-6)
     places = AT + np.array([[0.0, 0.0], [0.05, 0.0], [0.0, -0.05], [0.1, 0.1], [-0.1, 0.02]])
     together, gradients = of_batch(places)
-    is_marched = case != "hysteretic"  # populations of which take other steps than one chain
     np.testing.assert_allclose(together, [run(p)[1] for p in places], rtol=1e-8 if is_marched else 1e-6)
     limit = {"hysteretic": 1e-4, "dashpots, a fast mode": 1e-5}.get(case, 2e-6)
     np.testing.assert_allclose(gradients, [run(p)[2] for p in places], rtol=limit, atol=limit)

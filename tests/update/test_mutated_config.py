@@ -216,7 +216,7 @@ def stands(path):
         sampling.method_of(problem, kind), sampling.seed_of(problem, kind)
     for data in problem.data:
         if data.key != "ambient":  # modes of which are identified, in seconds
-            data.shared(problem, {})
+            data.shared(problem)
 
 
 def outcome(path) -> str:
