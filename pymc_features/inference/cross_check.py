@@ -34,7 +34,7 @@ from pymc_features.smc.proposals.proposal import Mixture, StudentT, distinct, fi
 from pymc_features.smc.proposals.reference import Mode, Reference, laplace_mode, nearest
 
 WIDTHS, WIDE_SHARES = (1.05, 1.6), (0.85, 0.15)  # of the fit to the run's draws, over it, and their shares
-HEAVIEST = 16  # draws of the fit from which climbs start
+HEAVIEST = 16  # draws of the fit from which climbs start, at most, and no more than from the prior
 OF_A_MODE, DEGREES = 300, 5.0  # draws of what stands at a new mode, and its degrees of freedom
 MOST_MODES = 12
 LEAST_EVIDENCE = 7.0  # a mode is left out whose Laplace evidence is below the run's by this, in nats
@@ -46,7 +46,7 @@ FEW_CLIMBS, MUCH = 0.02, 0.01
 LEAST_TAIL, TAIL_ERRORS, LEAST_EFFECTIVE = 0.03, 4.5, 100.0
 LEAST_OF_FIT, OF_MODES = 0.1, 0.2  # of what the run knew, in the reference of the next; of its modes in that
 DIFFERENCE = 1e-5  # step of difference quotients, in prior standard deviations, of models without gradients
-LEAST_PRIOR = 100  # draws of the prior, for its scale
+LEAST_PRIOR, LEAST_DRAWS = 100, 16  # draws of the prior, for its scale, and of the fit
 THOROUGH = 30_000, 1000  # draws of the fit, and climbs from the prior
 OF_A_CLIMB, OF_A_GRADIENT = 75, 3  # evaluations, on structural posteriors with wide priors
 FULL_RUN = 2000  # draws of a run that is checked in full
@@ -188,7 +188,7 @@ def affordable(
     of_a_climb = OF_A_CLIMB * max(1.0, n_differences / OF_A_GRADIENT)
     budget = spent * OF_DEAR_RUN if dear else max(spent * OF_RUN, OF_A_SECOND / max(n_data, 1))
     part = min(1.0, budget / (draws + climbs * of_a_climb))
-    return Effort(int(part * draws), int(part * climbs))
+    return Effort(max(int(part * draws), LEAST_DRAWS), int(part * climbs))
 
 
 def cross_check(
@@ -244,7 +244,7 @@ def cross_check(
             elif (mode := laplace_mode(scaled, ends[i])) is not None:
                 modes.extend([mode] if mode.log_evidence > least_evidence else [])
 
-    heaviest = np.argsort(-log_weights)[:HEAVIEST]
+    heaviest = np.argsort(-log_weights)[: min(HEAVIEST, effort.climbs)]
     heaviest = heaviest[log_weights[heaviest] > -np.inf]
     if len(heaviest):
         add(*climb(scaled, (x[heaviest] - centre) / scale, lambda u: np.zeros(len(u), dtype=bool)))
