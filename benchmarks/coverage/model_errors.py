@@ -9,10 +9,12 @@ information. Truth by `benchmarks.truth`.
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import make_interp_spline
 
 import pymc_features as pmf
@@ -70,7 +72,8 @@ OF_TEN = "right model", "mass distribution"  # truths of the ten storeys
 class Tested(NamedTuple):
     """What moves, what is measured of it, the record of the base that the model gets (time,), and its noise.
 
-    The noise is a standard deviation [m/s^2] where it is known.
+    The noise is a standard deviation [m/s^2] where it is known. `errors` are those of the sensors, of unit
+    variance, from a generator and a shape (sensor, time).
     """
 
     structure: truth.Linear
@@ -79,6 +82,7 @@ class Tested(NamedTuple):
     clock: float = 0.0
     base: np.ndarray | None = None
     noise: float = 0.0
+    errors: Callable = partial(first_order, dt=1.0 / RATE, time_constant=0.05)
 
 
 def linear(matrices):
@@ -90,6 +94,21 @@ def linear(matrices):
 def right(family, moved, rng):
     """The model itself."""
     return Tested(linear(family.matrices(np.ones(family.n_groups))), family.sensors)
+
+
+def white_errors(family, moved, rng):
+    """The model itself, measured with errors that are independent."""
+    return right(family, moved, rng)._replace(errors=np.random.Generator.standard_normal)
+
+
+def averaged_errors(family, moved, rng):
+    """The model itself, measured with moving averages of eight independent errors."""
+
+    def averages(rng, shape):
+        noise = rng.standard_normal((shape[0], shape[1] + 7))
+        return sliding_window_view(noise, 8, axis=1).sum(axis=-1) / np.sqrt(8.0)
+
+    return right(family, moved, rng)._replace(errors=averages)
 
 
 def other_damping(family, moved, rng):
@@ -172,6 +191,8 @@ def known_base_noise(family, moved, rng):
 
 TRUTHS: dict[str, Callable] = {
     "right model": right,
+    "right model, white errors": white_errors,
+    "right model, moving averages": averaged_errors,
     "damping form": other_damping,
     "mass distribution": other_masses,
     "partition": partition,
@@ -250,7 +271,7 @@ def measurement(family, respond, seed):
         exact = make_interp_spline(moved.time(fine), exact, k=5, axis=1)(t)
     exact = what.gains * exact
     level = LEVEL * np.sqrt(np.mean(exact**2))
-    data = exact + level * first_order(rng, exact.shape, 1.0 / RATE, 0.05)
+    data = exact + level * what.errors(rng, exact.shape)
     return what, moved.values()[0] if what.base is None else what.base, data, level
 
 
