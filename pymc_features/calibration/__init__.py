@@ -1,7 +1,6 @@
 """Intervals whose width the residuals decide: neither the sampling rate nor the number of sensors does."""
 
-from pymc_features.calibration.calibrate import calibrate
-from pymc_features.calibration.effective import effective_samples, fill_degrees
+from pymc_features.calibration.calibrate import calibrate, effective_samples, fill_degrees
 from pymc_features.calibration.events import event_check
 
 __all__ = ["calibrate", "effective_samples", "event_check", "fill_degrees"]

@@ -1,33 +1,42 @@
-"""`calibrate`: a posterior as wide as the residuals support, in every direction."""
+"""Posteriors as wide as the residuals support: `calibrate`, and the observations that they support."""
 
 import contextlib
 import json
-import warnings
-from pathlib import Path
 
 import numpy as np
 import pymc as pm
 import xarray as xr
 from pymc.util import RandomState
+from pytensor.graph.basic import Constant
 
 from pymc_features._checks import (
     check_choice,
     check_flag,
+    check_group,
     check_integer,
     check_model,
     check_positive,
     check_seed,
+    warn_caller,
 )
-from pymc_features.calibration.effective import described
-from pymc_features.calibration.maxima import Peak, distinct_peaks, some_draws
-from pymc_features.calibration.residuals import Predictions
-from pymc_features.calibration.sandwich import sandwich, sentence, whitening
+from pymc_features.calibration.maxima import (
+    Peak,
+    best_fit,
+    climb_likelihood,
+    distinct_peaks,
+    peak_at,
+    some_draws,
+    starting_points,
+)
+from pymc_features.calibration.residuals import Event, Predictions
+from pymc_features.calibration.sandwich import directions, known, sandwich, sentence, whitening
 from pymc_features.calibration.stretched import Stretched, StretchedSMC, bell, curved, prior_and_likelihood
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
-from pymc_features.inference.parameters import posterior_for, to_unconstrained
-from pymc_features.inference.sample import Search, sample_from
+from pymc_features.inference.parameters import coordinate_names, posterior_for, to_unconstrained
+from pymc_features.inference.sample import Search, journal_in, sample_from
+from pymc_features.likelihoods.declaration import warn_about_variance
+from pymc_features.likelihoods.mean_square import GammaFeatureRV, RequireDegrees
 from pymc_features.smc import open_workers
-from pymc_features.smc.kernels.checkpoint import Journal, model_fingerprint
 from pymc_features.smc.proposals.mixture import equal_draws, pareto_smoothed
 
 # mean square of standard deviations from the maximum that is far, and the share of draws that makes a warning
@@ -35,10 +44,12 @@ FAR, MANY = 10.0, 0.25
 LOOKED_AT = 400  # draws of which this is seen
 CHECKED, UNEXPLAINED = 40, 3.0  # of these, and residuals over their sigma that are too large
 STAGE_DRAWS = 600  # of draws by an expansion, which cost hardly anything
-NO_CLIMBS = "the maximum was known"
 WORTH = 0.9  # of draws that are weighed, below which they are not used
 WANTED = 2.0  # standard deviations beyond a bound that make a warning
 KEPT = 100  # draws at a time of which a checkpoint keeps the likelihood
+SHORT = 5.0  # time constants of the errors that a record must be long
+FIRST = 2.0  # degrees of freedom of the first fit of `fill_degrees`: those of EXP
+TINY = np.finfo(float).tiny
 
 
 def calibrate(
@@ -156,7 +167,7 @@ def calibrate(
             found = described(predictions, peak).assign(leverage=("parameter", leverage(peak)))
             warn_beyond(found)
             target = Stretched.around(prior, likelihood, peak, peaks[:i] + peaks[i + 1 :])
-            search = Search(bell(model, peak, rng), 0, 0, NO_CLIMBS)
+            search = Search(bell(model, peak, rng), 0, 0, "the maximum was known")
             sampled = calibrated_mode(predictions, target, expansion, search, i, settings, rng)
             sampled["calibration"] = xr.DataTree(found)
             check_draws(predictions, sampled["posterior"].to_dataset(), peak)
@@ -167,38 +178,40 @@ def calibrate(
         if group in idata.children:
             calibrated[group] = idata[group].copy()
     if advice := calibrated["sample_stats"].attrs["advice"]:
-        warnings.warn(advice, SamplingWarning, stacklevel=2)
+        warn_caller(advice, SamplingWarning)
     return calibrated
 
 
 def calibrated_mode(predictions, target: Stretched, expansion, found, number, settings, rng) -> xr.DataTree:
     """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own.
 
-    The first draws are those `found`. What a checkpoint keeps of it is in a file of its `number`.
+    The first draws are those `found`; a checkpoint keeps the likelihood in a file of this `number`.
     """
-    model, space, kept, idata = predictions.model, predictions.space, settings.get("checkpoint"), None
+    model, space, idata = predictions.model, predictions.space, None
     settings = settings | {"kernel": StretchedSMC}
     if expansion is not None:
         guess = target._replace(likelihood=expansion)
         cheap = {"stage_draws": STAGE_DRAWS} | settings | {"checkpoint": None, "cores": 1, "logp": guess}
         idata = sample_from(found, model, space, **cheap)
-        kept = None if kept is None else Path(kept) / f"calibrated_{number}.record"
-        idata = weighed(model, idata, guess, target, kept, rng)
+        journal = journal_in(settings.get("checkpoint"), f"calibrated_{number}", model)
+        with contextlib.closing(journal) if journal else contextlib.nullcontext():
+            idata = weighed(model, idata, guess, target, journal, rng)
     if idata is None:
         idata = sample_from(found, model, space, **settings, logp=target)
     idata["sample_stats"].attrs["power"] = target.power
     return idata
 
 
-def weighed(model, idata, guess: Stretched, target: Stretched, checkpoint, rng) -> xr.DataTree | None:
-    """A posterior by a guess of the likelihood as that by the likelihood; None where they are not near.
-
-    `checkpoint` is the file that keeps the likelihood of the draws, None without one.
-    """
+def weighed(model, idata, guess: Stretched, target: Stretched, journal, rng) -> xr.DataTree | None:
+    """A posterior by a guess of the likelihood as that by the likelihood; None where they are not near."""
     z = to_unconstrained(model, idata["posterior"].to_dataset())
     flat = z.reshape(-1, z.shape[-1])
-    values = *evaluated(target, flat, model, checkpoint), guess(flat)[1]
-    value, failed, guessed = (np.reshape(x, z.shape[:2]) for x in values)
+    if journal is None:
+        _, *values = target(flat)
+    else:
+        parts = [journal.evaluate(target, x) for x in np.array_split(flat, -(-len(flat) // KEPT))]
+        _, *values = map(np.concatenate, zip(*parts, strict=True))
+    value, failed, guessed = (np.reshape(x, z.shape[:2]) for x in (*values, guess(flat)[1]))
     logs = value - guessed
     if not (logs.max(axis=1) > -np.inf).all():
         return None
@@ -219,16 +232,6 @@ def weighed(model, idata, guess: Stretched, target: Stretched, checkpoint, rng) 
     stats.attrs |= {"log_evidence": float(log_evidence), "ess": float(stats["ess"].sum())}
     idata["sample_stats"] = xr.DataTree(stats)
     return idata
-
-
-def evaluated(target: Stretched, z, model, checkpoint):
-    """Log-likelihood and failures (n,) of points (n, d), part by part where a checkpoint keeps them."""
-    if checkpoint is None:
-        return target(z)[1:]
-    checkpoint.parent.mkdir(parents=True, exist_ok=True)
-    with contextlib.closing(Journal(checkpoint, model_fingerprint(model))) as journal:
-        parts = [journal.evaluate(target, x) for x in np.array_split(z, -(-len(z) // KEPT))]
-    return [np.concatenate(x) for x in list(zip(*parts, strict=True))[1:]]
 
 
 def pooled(parts: list[xr.DataTree], peaks: list[Peak], rng) -> xr.DataTree:
@@ -273,12 +276,11 @@ def warn_beyond(found):
     rows = (found[name].values for name in ("parameter", "bound", "point", "room"))
     for name, bound, point, room in zip(*rows, strict=True):
         if room < -WANTED:
-            warnings.warn(
+            warn_caller(
                 f"the data want {name} {'above' if point <= bound else 'below'} {bound:.4g}, the edge of its "
                 f"prior, by {-room:.2g} standard deviations: its interval is what the prior leaves of them. "
                 "Widen the prior, or look for what the model lacks.",
                 CalibrationWarning,
-                stacklevel=3,
             )
 
 
@@ -288,12 +290,11 @@ def check_draws(predictions, posterior, peak: Peak):
     n_directions = whitening(peak.sandwich.information).shape[1]
     away = np.mean(peak.distance(draws) ** 2 > FAR * n_directions)
     if away > MANY:
-        warnings.warn(
+        warn_caller(
             f"{100 * away:.0f} % of the calibrated draws are far from the likelihood's maximum: the "
             "priors, or a maximum that no draw was near, outweigh it, and there the residuals have decided "
             "no width. Use a longer record, several events in one model, or priors that agree with the data.",
             CalibrationWarning,
-            stacklevel=3,
         )
     values = [predictions(z) for z in draws[:: max(1, len(draws) // CHECKED)]]
     squares = [sum(np.sum(v.residuals**2) for v in x) / sum(v.claimed.sum() for v in x) for x in values]
@@ -320,3 +321,258 @@ def table(found: xr.Dataset) -> dict:
     rows = found[["standard_deviation", "leverage", "near_bound", "bound", "room"]].to_dataframe().T.to_dict()
     rows = {name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.items()}
     return {"growth": found.attrs["growth"], "sentence": sentence(found.attrs["growth"]), "parameters": rows}
+
+
+def effective_samples(
+    source: xr.DataTree | pm.Model, *, model: pm.Model | None = None, random_seed: int | None = None
+) -> xr.Dataset:
+    """Independent observations that the residuals of a fit support, and the covariance they imply.
+
+    At the maximum of the likelihood the score, the sum of sensitivities times residuals, would vary as much
+    as the likelihood claims (A) if the errors were what it takes them for. How much it does vary (B) is
+    estimated from the residuals, over time and across sensors (``pymc_features.calibration.sandwich``). In a
+    direction v of the parameters the residuals support m v' A^-1 v / v' A^-1 B A^-1 v independent
+    observations, where the likelihood claims m: all samples under NORM, two for each sensor under EXP, one
+    under TN.
+
+    Parameters
+    ----------
+    source : DataTree or pymc.Model
+        What `sample`, `sample_smc` or `pm.sample` returned, or a model, of which the most probable mode is
+        taken. The fit starts from the modes that `sample` found, or otherwise from draws, which takes longer.
+        Likelihoods of several records are taken to have independent errors.
+    model : pymc.Model, optional
+        Of a DataTree; the model of the context by default.
+    random_seed : int, optional
+        For the choice of points to climb from.
+
+    Returns
+    -------
+    Dataset
+        Over `sensor` (name of the likelihood and index): `n_eff`, observations that its residuals support;
+        `claimed`, those of the likelihood; `time_constant` [s] of the errors, the longest;
+        `follows_response`, whether they grow with the response. Over `parameter` (on the unconstrained scale
+        that PyMC samples, but near a bound of the prior on their own): `n_eff_parameter`,
+        `standard_deviation` by the residuals, `claimed_standard_deviation`, `point`, the maximum within the
+        prior, `near_bound`, the nearest `bound` and `room`, standard deviations from the maximum without
+        bounds to it, negative beyond; and `changes_response`. Over `direction`, ascending: `n_eff_direction`
+        and `direction_vector` (direction, parameter). The matrices `information` A, `variability` B and
+        `covariance` A^-1 B A^-1 ``(parameter, parameter_)``, NaN for parameters that no likelihood knows of.
+        Attributes: `n_eff` (geometric mean of the directions), `growth` (by how much frequency bands disagree
+        about the parameters, NaN without natural frequencies; widths contain it up to 2), `claimed` (of all
+        sensors), `n_evaluations` (predictions of the fit).
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a likelihood is not known, the residuals vanish, or data have gaps under another likelihood than
+        one of a feature, or for more than 40 % of the record.
+
+    Warns
+    -----
+    CalibrationWarning
+        If errors persist for more than a fifth of the record, which is then too short to tell how they vary.
+
+    Notes
+    -----
+    A bias of the model, the same all along the record and in every event, cannot be seen from residuals. A
+    correlation time that is inferred is left as its likelihood has it. Samples in gaps add nothing to the
+    score; where it is estimated how errors vary, residuals beside a gap stand in for those in it.
+
+    References
+    ----------
+    Godambe, Ann. Math. Stat. 31, 1960; Andrews & Monahan, Econometrica 60, 1992.
+    """
+    check_seed(random_seed)
+    starts = None
+    if isinstance(source, pm.Model):
+        model = check_model(source)
+    else:
+        check_group(source, "source", "posterior", "Or pass a model, for a fit without draws.")
+        model = check_model(model)
+        starts = starting_points(model, source, "source")
+    predictions = Predictions(model)
+    return described(predictions, peak_at(best_fit(predictions, starts, np.random.default_rng(random_seed))))
+
+
+def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = None) -> xr.Dataset:
+    """Take the degrees of freedom m of each ``GammaFeature(..., m="residuals")`` from the residuals.
+
+    The likelihood is maximised with m = 2; the observations that the residuals of each sensor support, as
+    `effective_samples` counts them, become its m, and a second fit from there gives those that stay. A
+    sensor whose response no parameter changes gets the mean of the others. Repeat it after `pm.set_data`
+    with other data.
+
+    Parameters
+    ----------
+    model : pymc.Model, optional
+        The model of the context by default. Its data `{name}_m` are set.
+    random_seed : int, optional
+        For the choice of points to climb from.
+
+    Returns
+    -------
+    Dataset
+        As from `effective_samples`, of the second fit; m is `n_eff`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If no likelihood waits for m, or as of `effective_samples`.
+
+    Warns
+    -----
+    CalibrationWarning
+        If errors persist for more than a fifth of the record.
+    FeatureLikelihoodWarning
+        If so few observations are left that the posterior has no finite variance.
+
+    Examples
+    --------
+    >>> from pymc_features import GammaFeature
+    >>> measured = np.random.default_rng(1).normal(3.0, 1.0, size=(1, 500))
+    >>> with pm.Model() as model:
+    ...     mu = pm.Normal("mu", 0.0, 10.0) * np.ones((1, 500))
+    ...     y = GammaFeature("y", mu, pm.HalfNormal("sigma"), m="residuals", observed=measured)
+    ...     counted = fill_degrees(random_seed=1)
+    >>> bool((model["y_m"].get_value() > 300).all())  # white noise: about all samples
+    True
+    """
+    check_seed(random_seed)
+    model = check_model(model)
+    ms = {
+        rv: rv.owner.inputs[-1].owner for rv in model.observed_RVs if isinstance(rv.owner.op, GammaFeatureRV)
+    }
+    waiting = {rv: m.inputs[0] for rv, m in ms.items() if m and isinstance(m.op, RequireDegrees)}
+    if not waiting:
+        names = ", ".join(rv.name for rv in model.observed_RVs) or "no likelihood"
+        raise ValueError(
+            f"`model` must have a GammaFeature with m='residuals', got {names}. Declare it so, or use "
+            "effective_samples()."
+        )
+    before = [data.get_value() for data in waiting.values()]
+    for data in waiting.values():
+        data.set_value(np.full(data.get_value().shape, FIRST))
+    try:
+        predictions = Predictions(model)
+        fit = best_fit(predictions, None, np.random.default_rng(random_seed))
+        fill(waiting, fit)
+        fit = climb_likelihood(predictions, fit.z)
+        fill(waiting, fit)
+    except Exception:
+        for data, m in zip(waiting.values(), before, strict=True):
+            data.set_value(m)
+        raise
+    for rv, data in waiting.items():
+        sigma = rv.owner.inputs[3]
+        if not isinstance(sigma, Constant):
+            warn_about_variance("GammaFeature", data.get_value().ravel(), sigma)
+    return described(predictions, peak_at(fit))
+
+
+def fill(waiting, fit):
+    """Set degrees of freedom to the observations that the residuals of a fit support."""
+    events = {event.value.name: event for event in fit.events}
+    for rv, data in waiting.items():
+        counted = sensors_n_eff(events[rv.name])
+        if np.isnan(counted).all():
+            raise ValueError(f"`model` must have parameters that change the response of {rv.name}, got none.")
+        counted = np.where(np.isnan(counted), np.nanmean(counted), counted)
+        data.set_value(counted.reshape(data.get_value().shape))
+
+
+def sensors_n_eff(event: Event) -> np.ndarray:
+    """Observations that residuals support (sensor,); NaN where no parameter changes the response."""
+    counted = np.full(len(event.residuals), np.nan)
+    for j in range(len(counted)):
+        alone = event.of_sensor(j)
+        if alone.of_response.any():
+            values, _ = directions(alone.of_response, sandwich([alone]).variability)
+            counted[j] = (alone.residuals**2).sum() / np.exp(np.mean(np.log(values.clip(min=TINY))))
+    return counted
+
+
+def described(predictions, peak: Peak) -> xr.Dataset:
+    """The Dataset of `effective_samples`."""
+    fit, result = peak
+    of_response = sum(event.of_response for event in fit.events)
+    if not known(of_response).size:
+        raise ValueError("`model` must have parameters that change the response, got none.")
+    warn_of_short_records(fit, result)
+    values, vectors = directions(of_response, result.of_response)
+    n_direction = fit.squares / values[::-1].clip(min=TINY)
+    along = vectors.T[::-1] / np.linalg.norm(vectors.T[::-1], axis=1, keepdims=True)
+    of_bounds, units = own_scale(predictions, peak)
+    square, every = np.outer(units, units), np.arange(len(units))
+    told = np.where(np.isin(every, known(result.information)), 1.0, np.nan)
+    claims, covariance = (m * square * np.outer(told, told) for m in (result.claims, result.covariance))
+    of_sensors = [
+        {
+            "n_eff": sensors_n_eff(event),
+            "claimed": event.value.claimed,
+            "time_constant": np.full(len(event.residuals), event.value.step * model.memory),
+            "follows_response": model.follows_response,
+        }
+        for event, model in zip(fit.events, result.models, strict=True)
+    ]
+    variables = {
+        "sensor": {name: np.concatenate([one[name] for one in of_sensors]) for name in of_sensors[0]},
+        "parameter": {
+            "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
+            "standard_deviation": np.sqrt(np.diag(covariance)),
+            "claimed_standard_deviation": np.sqrt(np.diag(claims)),
+            "changes_response": np.isin(every, known(of_response)),
+            **of_bounds,
+        },
+        ("parameter", "parameter_"): {
+            "information": result.information / square,
+            "variability": result.variability / square,
+            "covariance": covariance,
+        },
+        "direction": {"n_eff_direction": n_direction},
+        ("direction", "parameter"): {"direction_vector": along},
+    }
+    names = coordinate_names(predictions.model, predictions.space)
+    sensors = [f"{e.value.name}[{j}]" for e in fit.events for j in range(len(e.residuals))]
+    return xr.Dataset(
+        {name: (dims, x) for dims, some in variables.items() for name, x in some.items()},
+        {"parameter": names, "parameter_": names, "sensor": sensors},
+        {
+            "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
+            "claimed": fit.claimed,
+            "n_evaluations": fit.n_evaluations,
+            "growth": result.growth,
+        },
+    )
+
+
+def own_scale(predictions, peak: Peak) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """What is said of parameters (d,) near a bound, on their own scale, and units of coordinates there."""
+    sides, near, origin = peak.fit.coordinates
+    low, high = predictions.bounds(predictions.space.split(peak.fit.z))
+    first = np.where(np.isfinite(low), low, high)  # the lower bound, or the only one
+    one = np.exp(np.where(sides == 1, origin, 0.0)) * np.where(first == low, 1.0, -1.0)
+    units = np.where(near, np.where(sides == 2, high - low, one), 1.0)
+    to_first, to_last = peak.rooms
+    found = {
+        "point": np.where(near, first + units * peak.fit.w, peak.fit.w),
+        "near_bound": near,
+        "bound": np.where(near, np.where(to_first < to_last, first, high), np.nan),
+        "room": np.where(near, np.minimum(to_first, to_last), np.nan),
+    }
+    return found, units
+
+
+def warn_of_short_records(fit, result):
+    """Warn of records that are too short to tell how their errors vary."""
+    for event, model in zip(fit.events, result.models, strict=True):
+        n = event.residuals.shape[1]
+        if SHORT * model.memory > n:
+            _, step, name = event.value[4:]
+            step, unit = (1, "samples") if np.isnan(step) else (step, "s")
+            warn_caller(
+                f"the errors of {name} persist for {model.memory * step:.3g} {unit} of a record of "
+                f"{n * step:.3g} {unit}, too short to tell how they vary: intervals may be too narrow. Use "
+                "a longer record, or several events.",
+                CalibrationWarning,
+            )

@@ -102,15 +102,11 @@ class StretchedSMC(PersistentSMC):
 
 def prior_and_likelihood(model, point, compile_kwargs) -> tuple:
     """Evaluations whose first result is the prior, with potentials, and whose second is the likelihood."""
-
-    def of_prior():
-        return model.logp(vars=[*model.free_RVs, *model.potentials]), pt.zeros(())
-
-    def of_data():
-        return pt.zeros(()), model.logp(vars=model.observed_RVs)
-
-    prior = population_logp(model, point, compile_kwargs, "prior", of_prior)
-    of_model = ("data", of_data) if model.potentials else ()  # else what `sample` has compiled
+    zero, of_prior = pt.zeros(()), [*model.free_RVs, *model.potentials]
+    of_model = ()  # what `sample` has compiled
+    if model.potentials:
+        of_model = "data", lambda: (zero, model.logp(vars=model.observed_RVs))
+    prior = population_logp(model, point, compile_kwargs, "prior", lambda: (model.logp(vars=of_prior), zero))
     return prior, population_logp(model, point, compile_kwargs, *of_model)
 
 
