@@ -167,7 +167,7 @@ def curved(predictions, peak: Peak) -> tuple[Peak, Expansion | None]:
     np.add.at(curvature, (first, second), -columns[1 + k :, 0])
     relative = (curvature + curvature.T) / np.outer(steps, steps)
     if np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
-        unwhiten = whiten.T @ (result.information * free)
+        unwhiten = whiten.T @ result.information
         more = unwhiten.T @ (relative - np.eye(k)) @ unwhiten
         peak = peak._replace(sandwich=result._replace(information=result.information + more))
     if k > MOST_EXPANDED:

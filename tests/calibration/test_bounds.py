@@ -15,9 +15,10 @@ import pymc_features as pmf
 from benchmarks import truth
 from benchmarks.coverage.bounds import LOWEST, PLACES, bounded, coverage, declare, exact, fitted, true_sd
 from benchmarks.coverage.errors import LEVEL, measurements
+from calibration.test_sandwich import errors_of, regression
 from pymc_features.calibration.maxima import climb_likelihood, peak_at
 from pymc_features.calibration.residuals import Coordinates, Predictions, bounds_of
-from pymc_features.calibration.stretched import CutNormal
+from pymc_features.calibration.stretched import CutNormal, curved
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import Unconstrained, to_unconstrained
 
@@ -121,6 +122,26 @@ def test_two_bounds_that_the_data_are_beyond():
         for value in predictions(z)
     )
     assert best < np.median(some) < 1.5 * best
+
+
+def test_curvature_beside_a_bound():
+    """The curvature along other parameters changes what they leave of the bounded one by nothing.
+
+    Responses to both differ by a twentieth, so that A is singular if a thousandth of it goes astray.
+    """
+    one, other = np.moveaxis(regression(), -1, 0)
+    errors = 0.03 * errors_of("persistent", np.random.default_rng(1), None)
+    with pm.Model() as model:
+        first, second = pm.Uniform("first", 0.0, 1.0), pm.Normal("second", 0.0, 0.2)
+        mu = first * one + pm.math.exp(3.0 * second) / 3.0 * (one + 0.05 * other)
+        pm.Normal("y", mu, pm.HalfNormal("sigma", 1.0), observed=one + (one + 0.05 * other) / 3.0 + errors)
+    predictions = Predictions(model)
+    peak = peak_at(climb_likelihood(predictions, np.array([2.0, 0.0, -2.0])))
+    before = peak.measured_from_bounds(np.array([True, False, False]))
+    matrices = [p.sandwich.information for p in (before, curved(predictions, before)[0])]
+    assert abs(matrices[1][1, 1] / matrices[0][1, 1] - 1.0) > 1e-3
+    alone = [np.linalg.inv(m)[0, 0] for m in matrices]
+    np.testing.assert_allclose(alone[1], alone[0], rtol=1e-6)
 
 
 @pytest.mark.slow
