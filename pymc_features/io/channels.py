@@ -293,7 +293,7 @@ def _aligned(rows, clocks: list[Clock]) -> tuple[np.ndarray, float, float]:
 def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, float, float]:
     """Values (sensor, time) at a common rate [Hz], each sensor moved to the same times."""
     from pymc_features import band_limited
-    from pymc_features.signals.channels import filled, widened, without
+    from pymc_features.signals.channels import filled, widened
 
     if without_clocks(clocks):
         clocks = [clock._replace(start=0.0) for clock in clocks]
@@ -311,7 +311,7 @@ def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, floa
         late = times + (start - clock.start)
         values = band_limited.at_times(whole[None], clock.dt, late, 1.0 / rate)[0]
         nearest = np.rint(late / clock.dt).astype(np.int64).clip(0, row.size - 1)
-        found.append(without(values, widened(gaps, REACH)[nearest]))
+        found.append(np.where(widened(gaps, REACH)[nearest], np.nan, values))
     return np.array(found), 1.0 / rate, start
 
 

@@ -37,8 +37,7 @@ def check_array(channels, sensors: bool = False) -> xr.DataArray:
     check_finite(np.where(gaps, 0.0, channels.values), "channels", "NaN is a gap.")
     silent = np.flatnonzero(gaps.all(axis=-1))
     if len(silent):
-        known = "sensor" in channels.coords
-        name = str(np.ravel(channels.coords["sensor"])[silent[0]] if known else silent[0])
+        name = str(sensor_names(channels)[silent[0]])
         raise ValueError(
             f"`channels` must have samples of every sensor, got NaN alone in {name!r}. Leave it out."
         )
@@ -50,8 +49,8 @@ def check_array(channels, sensors: bool = False) -> xr.DataArray:
 
 def sensor_names(channels: xr.DataArray) -> list:
     """Labels of the sensors, counted where they have none."""
-    coords = channels.coords
-    return list(coords["sensor"].values) if "sensor" in coords else list(range(channels.sizes["sensor"]))
+    known = "sensor" in channels.coords
+    return list(np.ravel(channels.coords["sensor"]) if known else range(channels.sizes.get("sensor", 1)))
 
 
 def whole_values(channels) -> np.ndarray:
@@ -133,6 +132,15 @@ def check_frequency(value, name: str, nyquist: float) -> float:
     return frequency
 
 
+def check_band(band, step: float) -> tuple[float, float]:
+    """Two rising frequencies [Hz] below half the sampling rate."""
+    edges = check_pair(band, "band", "two frequencies (from, to) in Hz")
+    low, high = (check_frequency(edge, "band", 0.5 / step) for edge in edges)
+    if not low < high:
+        raise ValueError(f"`band` must rise, got ({low:g}, {high:g}) Hz.")
+    return low, high
+
+
 def check_pair(pair, name: str, what: str) -> tuple[float, float]:
     """Two numbers."""
     try:
@@ -166,8 +174,3 @@ def widened(gaps: np.ndarray, samples: int) -> np.ndarray:
     near = np.pad(gaps, [(0, 0)] * (gaps.ndim - 1) + [(samples + 1, samples)])
     count = np.cumsum(near, axis=-1)
     return count[..., 2 * samples + 1 :] > count[..., : -2 * samples - 1]
-
-
-def without(values: np.ndarray, gaps: np.ndarray) -> np.ndarray:
-    """Values (..., time) with NaN in the gaps."""
-    return np.where(gaps, np.nan, values) if gaps.any() else values

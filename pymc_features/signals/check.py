@@ -154,8 +154,7 @@ def check_each(channels: xr.DataArray) -> None:
     """Warn of suspicious channels (sensor, time) in m/s^2, gaps left out; refuse constant ones."""
     names = [repr(str(name)) for name in sensor_names(channels)]
     values = np.asarray(channels.values, dtype=np.float64)
-    gaps = np.isnan(values)
-    measured = [row[~gap] if gap.any() else row for row, gap in zip(values, gaps, strict=True)]
+    measured = [row[~np.isnan(row)] for row in values]
     for name, history in zip(names, measured, strict=True):
         if not history.size or history.max() == history.min():
             raise ValueError(
@@ -164,9 +163,8 @@ def check_each(channels: xr.DataArray) -> None:
             )
     with np.errstate(over="ignore", invalid="ignore"):  # implausible peaks may be as large as numbers get
         for name, history in zip(names, measured, strict=True):
-            for message in (_units(history), *_flat(history)):
-                if message:
-                    warn_channel(f"Channel {name} {message}")
+            for suspicion in _suspicions(history):
+                warn_channel(f"Channel {name} {suspicion}")
         for j, i in combinations(range(len(names)), 2):
             parts = ((values[i, :k], values[j, :k]) for k in (100, None))  # the first tell most apart
             if all(np.array_equal(*part, equal_nan=True) for part in parts):
@@ -193,57 +191,44 @@ def implausible(peak: float) -> str:
     )
 
 
-def _units(history) -> str | None:
-    """Peaks that no structure sees, or gravity."""
-    extent = history.max() - history.min()  # the peak is half of it at least
-    if not 2.0 * SMALLEST < extent < LARGEST:
-        peak = np.abs(history - np.median(history)).max()
-        if peak > LARGEST:
-            return implausible(peak)
-        if peak < SMALLEST:
-            return f"has an implausible peak of {peak:.2g} m/s^2, {peak / GRAVITY:.1g} g. Check `units`."
-    if abs(abs(history.mean()) - GRAVITY) < 0.03 * GRAVITY:
-        return f"has a mean of {history.mean():.4g} m/s^2, that of gravity. Is it vertical? Detrend it if so."
-    return None
-
-
-def _flat(history) -> list[str]:
-    """What stretches of one value say: tops that are cut off, and values that are held."""
+def _suspicions(history):
+    """Texts about one channel: peaks that no structure sees, gravity, tops cut off and values held."""
+    extent, middle = history.max() - history.min(), np.median(history)  # the peak is half of it at least
+    peak = np.abs(history - middle).max()
+    if extent >= LARGEST and peak > LARGEST:
+        yield implausible(peak)
+    elif extent <= 2.0 * SMALLEST and peak < SMALLEST:
+        yield f"has an implausible peak of {peak:.2g} m/s^2, {peak / GRAVITY:.1g} g. Check `units`."
+    elif abs(abs(history.mean()) - GRAVITY) < 0.03 * GRAVITY:
+        yield f"has a mean of {history.mean():.4g} m/s^2, that of gravity. Is it vertical? Detrend it if so."
     again = history[1:] == history[:-1]
     if not (again[1:] & again[:-1]).any():  # never three in a row
-        return []
+        return
+    steps = np.diff(history)
     starts = np.flatnonzero(np.r_[True, ~again])
     lengths = np.diff(np.r_[starts, history.size])
-    between = np.abs(np.diff(history)[starts[1:] - 1])
+    between = np.abs(steps[starts[1:] - 1])
     jumps = np.maximum(np.r_[0.0, between], np.r_[between, 0.0])  # the larger of before and after
-    found = (check(history, starts, lengths, jumps) for check in (_clipped, _held))
-    return [text for text in found if text]
-
-
-def _clipped(history, starts, lengths, jumps) -> str | None:
-    """Flat tops at the largest or smallest value, entered or left by more than the resolution explains."""
+    inner = np.ones(starts.size, dtype=bool)
+    clipped = []
     for extreme, word in ((history.max(), "largest"), (history.min(), "smallest")):
-        flat = (history[starts] == extreme) & (lengths >= _FLAT_TOP)
-        if not flat.any() or abs(extreme - np.median(history)) < 0.5 * history.std():
+        at_extreme = history[starts] == extreme
+        inner &= ~at_extreme
+        flat = at_extreme & (lengths >= _FLAT_TOP)
+        if not flat.any() or abs(extreme - middle) < 0.5 * history.std():
             continue  # the value at rest
         # a smooth peak that rounds to three equal samples has 1.5 steps of the resolution beside them
         tops = lengths[flat & (jumps > 3.0 * np.diff(np.unique(history)).min())]
         if tops.size:
-            return (
+            clipped.append(
                 f"looks clipped: {tops.sum()} samples at its {word} value {extreme:.4g} m/s^2, in "
                 f"{tops.size} flat tops. Leave it out, or use a weaker shaking."
             )
-    return None
-
-
-def _held(history, starts, lengths, jumps) -> str | None:
-    """A value held, or filled in, amid a motion: it ends, or starts, with a jump."""
-    inner = (history[starts] != history.max()) & (history[starts] != history.min())
-    held = np.flatnonzero((lengths >= _HELD) & (jumps > 2.0 * np.diff(history).std()) & inner)
-    if not held.size:
-        return None
-    longest = held[np.argmax(lengths[held])]
-    return (
-        f"repeats one value amid a motion, {history[starts[longest]]:.4g} m/s^2 over {lengths[longest]} "
-        f"samples from sample {starts[longest]}: a gap filled by the logger? Cut it off by `trim`."
-    )
+    yield from clipped[:1]
+    held = np.flatnonzero((lengths >= _HELD) & (jumps > 2.0 * steps.std()) & inner)
+    if held.size:  # filled in amid a motion: it ends, or starts, with a jump
+        longest = held[np.argmax(lengths[held])]
+        yield (
+            f"repeats one value amid a motion, {history[starts[longest]]:.4g} m/s^2 over {lengths[longest]} "
+            f"samples from sample {starts[longest]}: a gap filled by the logger? Cut it off by `trim`."
+        )

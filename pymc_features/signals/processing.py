@@ -15,7 +15,6 @@ from pymc_features.signals.channels import (
     sampling_step,
     sensor_names,
     widened,
-    without,
 )
 
 
@@ -152,11 +151,8 @@ def band_pass(
     nyquist = 0.5 / step
     if low is None and high is None:
         raise ValueError("`low` or `high` must be given, got neither. Pass corner frequencies in Hz.")
-    corners = [
-        check_frequency(corner, name, nyquist)
-        for name, corner in (("low", low), ("high", high))
-        if corner is not None
-    ]
+    named = {name: corner for name, corner in (("low", low), ("high", high)) if corner is not None}
+    corners = [check_frequency(corner, name, nyquist) for name, corner in named.items()]
     if len(corners) == 2 and not corners[0] < corners[1]:
         raise ValueError(f"`low` must be below `high`, got {corners[0]:g} and {corners[1]:g} Hz.")
     order = check_integer(order, "order", most=HIGHEST)
@@ -173,13 +169,12 @@ def band_pass(
         values, gaps = filled(channels.values.astype(float))
         filtered = signal.sosfiltfilt(sections, values)
     except ValueError as error:  # a pole at 1, to rounding
-        named = "low" if high is None or len(corners) == 2 else "high"
         raise ValueError(
-            f"`{named}` must not be so far below the sampling rate, {1.0 / step:g} Hz, got {corners[0]:g} "
-            "Hz: the filter cannot be computed. Subtract a line or an offset instead."
+            f"`{next(iter(named))}` must not be so far below the sampling rate, {1.0 / step:g} Hz, got "
+            f"{corners[0]:g} Hz: the filter cannot be computed. Subtract a line or an offset instead."
         ) from error
     gaps = widened(gaps, int(np.ceil(1.0 / (corners[0] * step))))
-    return rebuilt(channels, without(filtered, gaps), step)
+    return rebuilt(channels, np.where(gaps, np.nan, filtered), step)
 
 
 _HALF_LENGTH = 20  # of the filter, in samples of the result
@@ -233,7 +228,7 @@ def decimate(channels: xr.DataArray, factor: int) -> xr.DataArray:
         window = signal.firwin(length, _CORNER / factor, window=("kaiser", _KAISER))
         values = signal.resample_poly(values, 1, factor, axis=-1, window=window, padtype="line")
         gaps = widened(gaps, _HALF_LENGTH * factor)[..., ::factor]
-    return rebuilt(channels, without(values, gaps), factor * step)
+    return rebuilt(channels, np.where(gaps, np.nan, values), factor * step)
 
 
 _REACH = 10  # samples of a shift by a part of one
@@ -303,19 +298,18 @@ def correct(
         moved = earlier(whole, samples)
         if gaps.any():
             gaps = earlier(gaps.astype(np.float64), nearest) > 0.0
-            moved = without(moved, gaps if nearest == samples else widened(gaps, _REACH))
+            moved[gaps if nearest == samples else widened(gaps, _REACH)] = np.nan
         values[names.index(name)] = moved
     return rebuilt(channels, values, step, 0.0).assign_coords(time=channels["time"])
 
 
 def _by_sensor(given, name, sensors) -> dict[str, float]:
     """Numbers by sensor."""
-    entries = given if isinstance(given, Mapping) else {}
-    values = {sensor: single(value) for sensor, value in entries.items()}
-    numbers = {sensor: to_float(value) for sensor, value in values.items() if is_number(value)}
-    whole = len(numbers) == len(entries) and np.isfinite([*numbers.values()]).all()
-    if not whole or not (given is None or isinstance(given, Mapping)):
+    given = {} if given is None else given
+    values = [single(value) for value in given.values()] if isinstance(given, Mapping) else [None]
+    if not all(is_number(value) and np.isfinite(to_float(value)) for value in values):
         raise TypeError(f"`{name}` must be a mapping of sensors to finite numbers, got {shown(given)}.")
+    numbers = dict(zip(given, map(to_float, values), strict=True))
     if unknown := [sensor for sensor in numbers if sensor not in sensors]:
         raise ValueError(f"`{name}` must name sensors among {', '.join(sensors)}, got {unknown[0]!r}.")
     return numbers

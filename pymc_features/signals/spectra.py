@@ -7,13 +7,7 @@ import xarray as xr
 from numpy.lib.stride_tricks import sliding_window_view
 
 from pymc_features._checks import is_among, shown, single
-from pymc_features.signals.channels import (
-    check_array,
-    check_frequency,
-    check_pair,
-    sampling_step,
-    sensor_names,
-)
+from pymc_features.signals.channels import check_array, check_band, sampling_step, sensor_names
 
 _SEGMENTS = 8  # at least, without overlap, so that a coherence means something
 _BINS = 6  # frequencies of a spectrum inside the band, at least
@@ -21,7 +15,7 @@ _ENOUGH = 0.2  # of the energy of the base, in a part without gaps
 _FEW = 0.05  # share of samples in gaps
 # Of the variance by leaving out parts: all of it hides lags, without it one event in 80 gets a false alarm
 _LEFT_OUT = 0.5
-UNKNOWN = (np.nan,) * 5  # gain, lag, their errors and coherence
+COLUMNS = ("gain", "gain_error", "lag", "lag_error", "coherence")
 
 
 def low_frequency_gains(
@@ -80,14 +74,12 @@ def low_frequency_gains(
             f"{x.size * step:.3g} s. Widen the band or take a longer window."
         )
     parts = [where_both(x, y, 2 * size) for y in values]
-    rows = [UNKNOWN if part is None else _compare(*part, step, (low, high), size) for part in parts]
-    columns = ("gain", "gain_error", "lag", "lag_error", "coherence")
-    seconds = {"units": "s"}
-    found = {
-        name: ("sensor", values, seconds if name.startswith("lag") else {})
-        for name, values in zip(columns, np.transpose(rows), strict=True)
-    }
-    return xr.Dataset(found, coords={"sensor": names}, attrs={"band": [low, high]})
+    unknown = (np.nan,) * len(COLUMNS)
+    rows = [unknown if part is None else _compare(*part, step, (low, high), size) for part in parts]
+    found = xr.Dataset(coords={"sensor": names}, attrs={"band": [low, high]})
+    for name, numbers in zip(COLUMNS, np.transpose(rows), strict=True):
+        found[name] = ("sensor", numbers, {"units": "s"} if name.startswith("lag") else {})
+    return found
 
 
 def where_both(x, y, shortest: int):
@@ -121,15 +113,6 @@ def base_index(channels: xr.DataArray, base) -> int:
     return names.index(single(base))
 
 
-def check_band(band, step: float) -> tuple[float, float]:
-    """Two rising frequencies [Hz] below half the sampling rate."""
-    edges = check_pair(band, "band", "two frequencies (from, to) in Hz")
-    low, high = (check_frequency(edge, "band", 0.5 / step) for edge in edges)
-    if not low < high:
-        raise ValueError(f"`band` must rise, got ({low:g}, {high:g}) Hz.")
-    return low, high
-
-
 def _compare(x, y, step, band, size) -> tuple[float, float, float, float, float]:
     """Gain, its error, lag, its error and coherence of y (time,) against x (time,)."""
     from scipy import signal  # a second to import
@@ -152,13 +135,9 @@ def _compare(x, y, step, band, size) -> tuple[float, float, float, float, float]
     # coherence tells neither of power that comes from other frequencies nor of one part that holds most of it
     left_out = _lag(*(z.sum(axis=0) - z for z in terms), omega, x.size / size)[0]
     lag_variance += _LEFT_OUT * (len(at_x) - 1) * left_out.var()
-    return (
-        float(sign * gain),
-        float(abs(gain) * np.sqrt(gain_variance)),
-        float(shift * step + rest),
-        float(np.sqrt(lag_variance)),
-        float((coherence * power_x).sum() / power_x.sum()),
-    )
+    gain_error, lag_error = abs(gain) * np.sqrt(gain_variance), np.sqrt(lag_variance)
+    mean_coherence = (coherence * power_x).sum() / power_x.sum()
+    return sign * gain, gain_error, shift * step + rest, lag_error, mean_coherence
 
 
 def _lag(cross, power_x, power_y, omega, n) -> tuple[np.ndarray, ...]:
@@ -188,21 +167,11 @@ SEGMENTS = 20  # of the record, half over each other
 
 
 class Spectra(NamedTuple):
-    """Spectra that are averaged over twenty parts of a record, half over each other (Welch, Hann windows).
+    """Spectra that are averaged over twenty parts of a record, half over each other (Welch, Hann windows)."""
 
-    Attributes
-    ----------
-    frequencies : array (k,)
-        [Hz]
-    matrices : array (k, s, s)
-        Of all channels against each other, one-sided [unit^2/Hz].
-    length : int
-        Samples of a part.
-    """
-
-    frequencies: np.ndarray
-    matrices: np.ndarray
-    length: int
+    frequencies: np.ndarray  # (k,) [Hz]
+    matrices: np.ndarray  # (k, s, s), of all channels against each other, one-sided [unit^2/Hz]
+    length: int  # samples of a part
 
     @property
     def singular_values(self) -> np.ndarray:
