@@ -231,8 +231,8 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     """The channels of all files on their common clock, or band-limited at a rate [Hz]."""
     import xarray as xr  # a second to import
 
+    from pymc_features.signals.channels import correct
     from pymc_features.signals.check import check_each
-    from pymc_features.signals.processing import correct
 
     if resample is not None:
         resample = check_positive(resample, "resample", "Pass the sampling rate in Hz.")

@@ -9,9 +9,8 @@ Each function takes an array and returns a new one; the same goes for every chan
 their ratios stay what they were.
 """
 
-from pymc_features.signals.channels import sampling_step
+from pymc_features.signals.channels import band_pass, correct, decimate, detrend, sampling_step, trim
 from pymc_features.signals.check import check_channels
-from pymc_features.signals.processing import band_pass, correct, decimate, detrend, trim
 from pymc_features.signals.spectra import low_frequency_gains
 
 __all__ = [

@@ -86,52 +86,47 @@ def check_channels(
     check_each(channels)
     still = np.nanmedian(channels.values, axis=1, keepdims=True)
     found["peak"] = ("sensor", np.nanmax(np.abs(channels.values - still), axis=1), {"units": "m/s^2"})
-    index = base_index(channels, base)
-    reference = repr(str(found["sensor"].values[index]))
-    allowed = _LATE * sampling_step(channels), damping_ratio / (1.5 * np.pi * found.attrs["band"][1])
-    columns = {name: found[name].values for name in found.data_vars}
-    comparable, late = [], False
-    scale, delay = np.ones(found.sizes["sensor"]), np.zeros(found.sizes["sensor"])
-    for i, name in enumerate(found["sensor"].values):
-        row = {key: float(numbers[i]) for key, numbers in columns.items()}
-        gain, lag, coherent = row["gain"], row["lag"], row["coherence"] >= _COHERENT
-        plain = _GAINS[0] <= abs(gain) <= _GAINS[1]
-        if coherent and plain:
-            comparable.append(i)
+    index, names = base_index(channels, base), [repr(name) for name in found["sensor"].values.tolist()]
+    tolerance, (_, highest) = _LATE * sampling_step(channels), found.attrs["band"]
+    columns = [found[name].values for name in ("gain", "lag", "lag_error", "coherence")]
+    size = np.abs(columns[0])
+    plain = (size >= _GAINS[0]) & (size <= _GAINS[1])
+    late, scale, delay = False, np.ones(size.size), np.zeros(size.size)
+    for i, (gain, lag, error, coherence) in enumerate(zip(*columns, strict=True)):
         if i == index or np.isnan(gain):
             continue
-        if not coherent:
+        if coherence < _COHERENT:
             warn_channel(
-                f"Channel {str(name)!r} is unrelated to {reference}: coherence {row['coherence']:.2g}. "
+                f"Channel {names[i]} is unrelated to {names[index]}: coherence {coherence:.2g}. "
                 "Another direction or event, no motion in the band, or a broken sensor?"
             )
             continue
         if gain < 0.0:
             warn_channel(
-                f"Channel {str(name)!r} is inverted against {reference}: low-frequency gain {gain:.3g}. "
+                f"Channel {names[i]} is inverted against {names[index]}: low-frequency gain {gain:.3g}. "
                 "Multiply it by -1."
             )
         scale[i] = np.sign(gain)
-        if not plain:  # units that are known to be mistaken for each other
-            ratio = max(abs(gain), 1.0 / abs(gain))
+        if not plain[i]:  # units that are known to be mistaken for each other
+            ratio = max(size[i], 1.0 / size[i])
             known = next((known for known in _RATIOS if 0.75 < ratio / known < 1.5), 1.0)
-            scale[i] *= 1.0 / known if abs(gain) > 1.0 else known
+            scale[i] *= 1.0 / known if size[i] > 1.0 else known
             reason = f", {_RATIOS[known]}" if known in _RATIOS else ""
             warn_channel(
-                f"Channel {str(name)!r} has a low-frequency gain of {gain:.3g} against {reference}, where "
+                f"Channel {names[i]} has a low-frequency gain of {gain:.3g} against {names[index]}, where "
                 f"floors follow the base{reason}. Check units and sensitivity."
             )
-        explained = abs(1.0 - 1.0 / max(abs(gain), 1.0)) * allowed[1]  # by damping, and by chance
-        beyond = abs(lag) - explained - 3.0 * row["lag_error"]
+        explained = abs(1.0 - 1.0 / max(size[i], 1.0)) * (damping_ratio / (1.5 * np.pi * highest))
+        beyond = abs(lag) - explained - 3.0 * error  # what neither damping nor chance explains
         delay[i] = lag if beyond > 0.0 else 0.0
-        if beyond > allowed[0]:
+        if beyond > tolerance:
             late = True
             warn_channel(
-                f"Channel {str(name)!r} comes {1e3 * abs(lag):.3g} ms ({abs(lag) * _LATE / allowed[0]:.3g} "
-                f"samples) {'after' if lag > 0.0 else 'before'} {reference}, +- {1e3 * row['lag_error']:.2g} "
-                "ms. Check clocks, and what the lag does to phases."
+                f"Channel {names[i]} comes {1e3 * abs(lag):.3g} ms ({abs(lag) * _LATE / tolerance:.3g} "
+                f"samples) {'after' if lag > 0.0 else 'before'} {names[index]}, +- {1e3 * error:.2g} ms. "
+                "Check clocks, and what the lag does to phases."
             )
-    found.attrs["order"] = _check_order(found.isel(sensor=comparable))
+    found.attrs["order"] = _check_order(found.isel(sensor=plain & (found["coherence"].values >= _COHERENT)))
     delay *= late  # no clock is touched for what no message is worth
     return found.assign(scale=("sensor", scale), delay=("sensor", delay, {"units": "s"}))
 

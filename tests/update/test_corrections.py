@@ -8,7 +8,7 @@ import pytest
 
 from pymc_features import cli, datasets, signals
 from pymc_features.exceptions import ChannelWarning, ConfigError
-from pymc_features.signals.processing import earlier
+from pymc_features.signals.channels import earlier
 from pymc_features.update import read_problem, write_example
 from support.update_files import replaced
 
