@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features._checks import (
+    as_list,
     check_choice,
     check_finite,
     check_integer,
@@ -74,14 +75,7 @@ def whole_values(channels) -> np.ndarray:
 
 
 def sampling_step(channels: xr.DataArray) -> float:
-    """Sampling interval [s] of channels, from their time coordinate.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If the array is none of channels, has no time coordinate, or its steps are uneven by more than a
-        thousandth.
-    """
+    """Sampling interval [s] of channels, from their time coordinate, even to a thousandth."""
     check_array(channels)
     if "time" not in channels.coords or channels.sizes["time"] < 2:
         raise ValueError(
@@ -110,9 +104,7 @@ def rebuilt(channels: xr.DataArray, values: np.ndarray, step: float, start: floa
     coords = {name: c for name, c in channels.coords.items() if "time" not in c.dims}
     attrs = channels.attrs | {"start": float(channels.attrs.get("start", 0.0)) + start}
     time = ("time", step * np.arange(values.shape[-1]), {"units": "s"})
-    return xr.DataArray(
-        values, dims=channels.dims, coords=coords | {"time": time}, name=channels.name, attrs=attrs
-    )
+    return xr.DataArray(values, coords | {"time": time}, channels.dims, channels.name, attrs)
 
 
 def check_window(channels: xr.DataArray, window, name: str = "window") -> tuple[int, int]:
@@ -156,13 +148,10 @@ def check_band(band, step: float) -> tuple[float, float]:
 
 def check_pair(pair, name: str, what: str) -> tuple[float, float]:
     """Two numbers."""
-    try:
-        first, last = pair
-    except Exception:  # anything may fail to be two, in its own way
-        first = last = None
-    if not (is_number(single(first)) and is_number(single(last))):
+    numbers = [single(number) for number in as_list(pair) or []]
+    if len(numbers) != 2 or not all(map(is_number, numbers)):
         raise TypeError(message(name, what, shown(pair)))
-    return check_number(first, name), check_number(last, name)
+    return to_float(numbers[0]), to_float(numbers[1])
 
 
 def filled(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -200,17 +189,12 @@ def trim(channels: xr.DataArray, start: float, stop: float) -> xr.DataArray:
     channels : xarray.DataArray (sensor, time) or (time,)
         Measured channels.
     start, stop : float
-        First and last time kept [s], by the coordinate `time`.
+        First and last time kept [s], by the coordinate `time`, within the record.
 
     Returns
     -------
     xarray.DataArray (sensor, time) or (time,)
         With times from 0; `attrs["start"]` grows by what was cut at the front [s].
-
-    Raises
-    ------
-    ValueError, TypeError
-        If the window does not lie within the record or holds fewer than two samples.
 
     Notes
     -----
@@ -244,18 +228,12 @@ def detrend(
         "constant", such as the share of gravity in a tilted sensor, or "linear", a slow drift besides.
     window : tuple of float, optional
         (from, to) [s] to take offset or line from, such as the quiet time before the shaking, where the mean
-        of a short record is not its offset. The whole record by default.
+        of a short record is not its offset; two samples of each channel at least. The whole by default.
 
     Returns
     -------
     xarray.DataArray
         Of the same shape. Of a channel with gaps, NaN, the samples that were measured count.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If `kind` is unknown, the window does not lie within the record, or has fewer than two samples of a
-        channel.
 
     Examples
     --------
@@ -308,11 +286,6 @@ def band_pass(
         Of the same shape; nothing is shifted in time. Gaps, NaN, are wider by one period of the lowest corner
         on each side, where the filter remembers the straight line that it found in their place.
 
-    Raises
-    ------
-    ValueError, TypeError
-        If no corner is given, they are out of order or range, or the record is too short for the filter.
-
     Notes
     -----
     `scipy.signal.sosfiltfilt` with its odd extension at the ends; expect errors there for about one period of
@@ -364,7 +337,7 @@ def decimate(channels: xr.DataArray, factor: int) -> xr.DataArray:
     channels : xarray.DataArray (sensor, time) or (time,)
         Measured channels.
     factor : int
-        Positive.
+        Positive; the record must be as long as the filter, 40 factor + 1 samples.
 
     Returns
     -------
@@ -372,17 +345,12 @@ def decimate(channels: xr.DataArray, factor: int) -> xr.DataArray:
         Samples 0, factor, 2 factor, ... in time. Gaps, NaN, are wider by 20 new samples on each side, as far
         as the filter reaches.
 
-    Raises
-    ------
-    ValueError, TypeError
-        If `factor` is no positive integer, or the record is shorter than the filter.
-
     Notes
     -----
     A symmetric filter of 40 factor + 1 coefficients (Kaiser window), so without phase: within 1e-3 of 1 up to
-    3/4 of half the new sampling rate, below 1e-3 from half the new rate on
-    (tests/signals/test_signals.py). The
-    straight line through first and last sample bypasses it; expect errors within 20 new samples of the ends.
+    3/4 of half the new sampling rate, below 1e-3 from half the new rate on (tests/signals/test_signals.py).
+    The straight line through first and last sample bypasses it; expect errors within 20 new samples of the
+    ends.
 
     Decimate measured floors as far as you like; the base keeps its step, for `response(..., dt=)` has one of
     its own. Modes above half the new rate are not excited by a base that was decimated.
@@ -421,20 +389,15 @@ def correct(
     channels : xarray.DataArray (sensor, time)
         Measured channels.
     scale : float or mapping of str to float, optional
-        Factor [-] for all sensors, or by name: -1 for an inverted one.
+        Factor [-] for all sensors, or by name, not zero: -1 for an inverted one.
     delay : mapping of str to float, optional
-        How late a sensor comes [s], by name, negative if early; any fraction of a sample. The channel is
-        shifted back by as much.
+        How late a sensor comes [s], by name, negative if early, any fraction of a sample, at most a quarter
+        of the record. The channel is shifted back by as much.
 
     Returns
     -------
     xarray.DataArray (sensor, time)
         With the times of the input.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If a name is no sensor, a factor is zero, or a delay is longer than a quarter of the record.
 
     Notes
     -----
@@ -455,13 +418,14 @@ def correct(
     """
     check_array(channels, sensors=True)
     names, step = [str(name) for name in sensor_names(channels)], sampling_step(channels)
-    factors = _by_sensor(dict.fromkeys(names, scale) if is_number(single(scale)) else scale, "scale", names)
+    scale = 1.0 if scale is None else single(scale)
+    factors = _by_sensor(dict.fromkeys(names, scale) if is_number(scale) else scale, "scale", names)
     values, most = channels.values.astype(np.float64), 0.25 * step * channels.sizes["time"]
     for name, factor in factors.items():
         if factor == 0.0:
             raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
         values[names.index(name)] *= factor
-    for name, late in _by_sensor(delay, "delay", names).items():
+    for name, late in _by_sensor({} if delay is None else delay, "delay", names).items():
         if abs(late) > most:
             raise ValueError(
                 f"`delay` must be at most a quarter of the record, {most:.4g} s, got {late:g} s for "
@@ -479,7 +443,6 @@ def correct(
 
 def _by_sensor(given, name, sensors) -> dict[str, float]:
     """Numbers by sensor."""
-    given = {} if given is None else given
     values = [single(value) for value in given.values()] if isinstance(given, Mapping) else [None]
     if not all(is_number(value) and np.isfinite(to_float(value)) for value in values):
         raise TypeError(f"`{name}` must be a mapping of sensors to finite numbers, got {shown(given)}.")

@@ -15,6 +15,7 @@ _ENOUGH = 0.2  # of the energy of the base, in a part without gaps
 _FEW = 0.05  # share of samples in gaps
 # Of the variance by leaving out parts: all of it hides lags, without it one event in 80 gets a false alarm
 _LEFT_OUT = 0.5
+SEGMENTS = 20  # of `averaged_spectra`, half over each other
 COLUMNS = ("gain", "gain_error", "lag", "lag_error", "coherence")
 
 
@@ -41,11 +42,6 @@ def low_frequency_gains(
     xarray.Dataset (sensor)
         `gain`, negative for an inverted sensor; `lag` [s], positive for a channel that comes late;
         `gain_error` and `lag_error`, their standard errors; `coherence`, mean over the band.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If the base is no channel, or the record is too short for the band.
 
     Notes
     -----
@@ -159,11 +155,6 @@ def _whole_lag(x, y, step, band) -> tuple[int, float]:
     lags = np.arange(-(n // 4), n // 4 + 1)
     best = int(lags[np.argmax(np.abs(correlation[lags]))])
     return best, 1.0 if correlation[best] >= 0.0 else -1.0
-
-
-# --- all channels against each other ------------------------------------------------------------------
-
-SEGMENTS = 20  # of the record, half over each other
 
 
 class Spectra(NamedTuple):
