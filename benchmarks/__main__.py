@@ -11,7 +11,7 @@ from pathlib import Path
 
 SECTIONS = ("evaluation", "gradients", "ambient", "posteriors", "abc", "scaling", "structures")
 # run only if asked for
-LONG = ("dimensions", "targets", "coverage", "opensees", "events", "cluster", "emulation")
+LONG = ("dimensions", "targets", "ablation", "coverage", "opensees", "events", "cluster", "emulation")
 HELP = f"run one section; all but {', '.join(LONG)} by default (20 minutes)"
 PACKAGES = (
     *("pymc-features", "pymc", "pytensor", "numba", "numpy", "scipy"),
