@@ -13,9 +13,9 @@ import pymc as pm
 import pymc_features as pmf
 from benchmarks.tables import significant, table
 from pymc_features import paper
-from pymc_features.emulation.campaign import largest_change
+from pymc_features.external.emulation import largest_change
+from pymc_features.external.workers.calls import Outcome
 from pymc_features.inference.parameters import Unconstrained, to_unconstrained
-from pymc_features.processes.calls import Outcome
 from pymc_features.smc import population_logp
 
 GROUPS = {3: ([0, 1, 2], [3, 4, 5], [6, 7, 8, 9]), 5: ([0, 1], [2, 3], [4, 5], [6, 7], [8, 9])}

@@ -19,7 +19,7 @@ from tables import first_sentence
 import pymc_features
 
 # public, besides those that `pymc_features.__all__` names
-MODULES = ("structures", "plots", "update", "external", "umbridge", "ground_motion", "study")
+MODULES = ("structures", "plots", "update", "external", "external.umbridge", "ground_motion", "study")
 LOGGER = logging.getLogger(__name__)
 
 

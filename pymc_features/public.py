@@ -3,10 +3,9 @@
 from pymc_features import datasets, exceptions, plots, signals
 from pymc_features.ambient import AmbientResponse, identify_modes, propose_bands, spectral_response
 from pymc_features.calibration import calibrate, effective_samples, event_check, fill_degrees
-from pymc_features.emulation import emulate
 from pymc_features.events import compare, hierarchical
 from pymc_features.events.sequence import continue_with, sample_in_sequence
-from pymc_features.external import ExternalSimulator, ProgramSimulator
+from pymc_features.external import ExternalSimulator, ProgramSimulator, emulate
 from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.inference import (
     compiled_logp,

@@ -42,7 +42,7 @@ LAST = ["test_jax.py", "test_pages.py", "test_recipes.py", "test_notebooks.py", 
 
 KERNELS = "simulators", "dynamics", "ops"  # whose tests compile most kernels
 YIELDING = re.compile("cyclic|hysteretic|nonlinear|spans|springs|taylor")  # few parts in common
-FEW_KERNELS = {"io", "identification", "signals", "modal", "external", "events", "emulation", "umbridge"}
+FEW_KERNELS = {"io", "identification", "signals", "modal", "external", "events"}
 FEW_KERNELS |= {"test_layout.py", "test_odd_arguments.py", "test_cli.py", "test_packaging.py"}
 
 

@@ -179,13 +179,13 @@ CAPABILITIES = {  # file: what a user can do: the test
     "external/test_external_cache.py": {
         "external: cache": "test_results_are_found_again",
     },
-    "emulation/test_emulation.py": {
+    "external/test_emulation.py": {
         "external: emulate": "test_emulate",
     },
     "external/test_external_executors.py": {
         "external: Dask": "test_a_killed_worker_costs_only_its_own_calls",
     },
-    "umbridge/test_umbridge.py": {
+    "external/test_umbridge.py": {
         "external: UM-Bridge, server": "test_the_protocol",
         "external: UM-Bridge, client": "test_a_posterior_over_the_bridge_is_the_direct_one",
     },

@@ -10,7 +10,7 @@ from weakref import WeakSet
 
 import numpy as np
 
-from pymc_features.processes.calls import Outcome
+from pymc_features.external.workers.calls import Outcome
 
 VERSION = 1
 WAIT_SECONDS = 60.0  # for other writers
@@ -30,19 +30,12 @@ _HELD: list["EvaluationCache"] = []
 class EvaluationCache:
     """A SQLite file of results and failures; several processes of one machine may use it at once.
 
-    Parameters
-    ----------
-    path : path-like
-        The file; made if absent.
+    Every result is written when it arrives. Numbers are float64 bytes; nothing is pickled.
 
     Raises
     ------
     ValueError
-        If the file is something else, or of another version.
-
-    Notes
-    -----
-    Every result is written when it arrives. Numbers are float64 bytes; nothing is pickled.
+        If the file cannot be written, is something else, or of another version.
     """
 
     def __init__(self, path):

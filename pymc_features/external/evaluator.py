@@ -14,19 +14,24 @@ from typing import TypedDict
 import cloudpickle
 import numpy as np
 
-from pymc_features._checks import check_path
+from pymc_features._checks import check_flag, check_integer, check_path, is_number, shown, single, to_float
 from pymc_features.external import program
 from pymc_features.external.cache import EvaluationCache
-from pymc_features.external.checks import check_evaluation
+from pymc_features.external.workers.calls import Outcome
+from pymc_features.external.workers.executors import Batch, Work, check_executor, open_executor
 from pymc_features.fingerprint import fingerprint
-from pymc_features.processes.calls import Outcome
-from pymc_features.processes.executors import Batch, Work, open_executor
 
 FAILURES_KEPT = 1000
 WORKS_KEPT = 8  # data sets for which the payload is kept
-BY_VALUE = (program,)  # its classes come along: to import the package takes seconds
 SILENT_SECONDS, EVERY_SECONDS = 5.0, 10.0  # of lines on the progress
 STATES = ("ok", "error", "timeout", "died", "invalid", "cached")
+
+
+def check_seconds(name: str, value) -> None:
+    """Refuse a time that is given and not positive."""
+    number = single(value)
+    if value is not None and not (is_number(number) and 0 < to_float(number) < float("inf")):
+        raise ValueError(f"`{name}` must be a positive number of seconds, got {shown(value)}.")
 
 
 @dataclass(frozen=True)
@@ -54,18 +59,10 @@ class Failure:
 
 @dataclass(frozen=True)
 class Task:
-    """A function of the parameters, and the shape and identity of its results.
+    """A function of the parameters, the shape of what it returns, and its identity for the cache.
 
-    Attributes
-    ----------
-    function : callable
-        To run.
-    shape : tuple of int
-        Of what it returns.
-    observed : array (sensor, time) or None
-        If given, the results are mean squares of its difference from what the function returns.
-    identity : str
-        Of the function, for the cache.
+    With `observed` (sensor, time) the results are mean squares of its difference from what the function
+    returns.
     """
 
     function: object
@@ -126,20 +123,18 @@ class Evaluator:
         cache: str | PathLike | None = None,
         progress: bool = True,
     ):
-        check_evaluation(timeout, retries, executor, progress)
-        self.timeout, self.retries, self.executor = timeout, int(retries), executor
+        check_seconds("timeout", timeout)
+        check_executor(executor)
+        self.timeout, self.executor = timeout, executor
+        self.retries = check_integer(retries, "retries", least=0)
+        self.lines = Lines(check_flag(progress, "progress"))
         # "" stands for the system's folder of temporary files
-        self.scratch = (
-            None
-            if scratch is False
-            else ""
-            if scratch is True
-            else str(check_path(scratch, "scratch").resolve())
-        )
+        usual = {True: "", False: None}
+        is_flag = isinstance(scratch, bool)
+        self.scratch = usual[scratch] if is_flag else str(check_path(scratch, "scratch").resolve())
         self.cache = None if cache is None else EvaluationCache(check_path(cache, "cache"))
         self.counts = dict.fromkeys(STATES, 0)
         self.failures: deque[Failure] = deque(maxlen=FAILURES_KEPT)
-        self.lines = Lines(progress)
         self._opened = None  # process (id), token, executor, function that ends it
         self._works, self._digests = {}, set()
 
@@ -198,14 +193,8 @@ class Evaluator:
     def work(self, task, own) -> Work:
         """The task as it travels, made once."""
         if own not in self._works or self._works[own][0] is not task.function:
-            payload = packed(
-                {
-                    "function": task.function,
-                    "observed": task.observed,
-                    "shape": task.shape,
-                    "scratch": self.scratch,
-                }
-            )
+            content = {"function": task.function, "observed": task.observed, "shape": task.shape}
+            payload = packed(content | {"scratch": self.scratch})
             # processes are not shared, lest one evaluator ends those of another
             digest = hashlib.sha256(self._opened[1] + payload).hexdigest()
             while len(self._works) >= WORKS_KEPT:
@@ -238,14 +227,12 @@ class Evaluator:
 
 
 def packed(content) -> bytes:
-    """Content as bytes that can be unpacked without this package."""
-    for module in BY_VALUE:
-        cloudpickle.register_pickle_by_value(module)
+    """Content as bytes that can be unpacked without this package, whose import takes seconds."""
+    cloudpickle.register_pickle_by_value(program)
     try:
         return cloudpickle.dumps(content)
     finally:
-        for module in BY_VALUE:
-            cloudpickle.unregister_pickle_by_value(module)
+        cloudpickle.unregister_pickle_by_value(program)
 
 
 def call_key(own: str, arguments) -> str:
@@ -260,17 +247,10 @@ class Lines:
     """Writes a line to standard error now and then: simulations done, failed, rate, time left.
 
     Plain lines do not disturb a progress bar.
-
-    Parameters
-    ----------
-    shown : bool
-        Or nothing is written.
     """
 
     def __init__(self, shown: bool):
-        self.shown = shown
-        self.last = None
-        self.done = self.failed = 0
+        self.shown, self.last, self.done, self.failed = shown, None, 0, 0
         self.seconds = 0.0  # of the batches before: what lies between them does not count in the rate
         self.batch_start = self.latest = 0.0
 
@@ -292,23 +272,13 @@ class Lines:
     def tick(self):
         """Write a line if it is time to."""
         now = time.monotonic()
-        if self.shown and now - self.last >= EVERY_SECONDS:
-            self.last = now
-            print(self.line(now), file=sys.stderr, flush=True)
-
-    def line(self, now: float) -> str:
-        """Text of the progress line."""
-        done = self.done - self.before
+        if not self.shown or now - self.last < EVERY_SECONDS:
+            return
+        self.last, done = now, self.done - self.before
         rate = self.done / max(self.seconds + now - self.batch_start, 1e-9)
         text = f"simulations: {self.done} done, {self.failed} failed, {rate:.3g}/s"
         if 0 < done < self.total:
             left = (now - self.batch_start) / done * (self.total - done)
-            text += f"; of this batch {done} of {self.total}, {clock(left)} left"
-        return text
-
-
-def clock(seconds: float) -> str:
-    """Seconds as h:mm:ss or m:ss."""
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
+            minutes, seconds = divmod(round(left), 60)
+            text += f"; of this batch {done} of {self.total}, {minutes}:{seconds:02d} left"
+        print(text, file=sys.stderr, flush=True)

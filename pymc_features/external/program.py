@@ -1,6 +1,7 @@
 """Functions that travel to worker processes by value: a program outside Python, a user's gradient."""
 
 import re
+import shlex
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
@@ -71,15 +72,32 @@ class ProgramSimulator:
         files: Sequence[str | PathLike] = (),
     ):
         # here, because this class is sent to processes that are to import nothing of the package
-        from pymc_features.external.checks import checked_program
+        from pymc_features import _checks as checks
 
-        given = checked_program(command, parameters, inputs, result, columns, transpose, files)
-        self.command, self.parameters, self.columns, self.transpose = given[:4]
-        self.inputs = {str(name): template_text(name, text) for name, text in given.inputs.items()}
+        names, paths = checks.as_list(parameters), checks.as_list(files)
+        if not names or not all(isinstance(p, str) and p.isidentifier() for p in names):
+            raise ValueError(checks.message("parameters", "a list of names", checks.shown(parameters)))
+        if not callable(result):
+            if not isinstance(result, str):
+                what = "the name of a file or a function"
+                raise TypeError(checks.message("result", what, checks.shown(result)))
+            checks.check_path(result, "result")
+        if paths is None:
+            raise TypeError(checks.message("files", "a list of paths", checks.shown(files)))
+        if columns is not None:
+            array = checks.as_array(columns)
+            if array.ndim != 1 or not array.size or array.dtype.kind not in "iu":
+                raise TypeError(checks.message("columns", "a list of integers", checks.shown(columns)))
+            columns = tuple(array.tolist())
+        self.command, self.parameters = words_of(command), tuple(names)
+        self.result, self.columns = result, columns
+        self.transpose = checks.check_flag(transpose, "transpose")
+        inputs = checks.check_mapping(inputs, "inputs", "a dict of names of files to templates")
+        self.inputs = {str(name): template_text(name, text) for name, text in inputs.items()}
         for where, text in [*self.inputs.items(), *(("command", word) for word in self.command)]:
             self.check_places(where, text)
-        self.result = result
-        self.files = {path.name: (read_bytes(path, "files"), path.stat().st_mode) for path in given.files}
+        paths = [checks.check_path(path, "files") for path in paths]
+        self.files = {path.name: (read_bytes(path, "files"), path.stat().st_mode) for path in paths}
 
     def check_places(self, where: str, text: str) -> None:
         """Refuse a template that asks for what is not there."""
@@ -128,6 +146,30 @@ class ProgramSimulator:
         return table.T if self.transpose else table
 
 
+def words_of(command) -> list[str]:
+    """The words of a command."""
+    from pymc_features._checks import as_list, is_number, message, shown
+
+    if isinstance(command, str):
+        try:
+            words = shlex.split(command)
+        except ValueError as error:
+            got = f"{shown(command)} ({error})"
+            what = "split as by a shell"
+            raise ValueError(message("command", what, got, "Pass a list of words.")) from None
+    else:
+        words = as_list(command)
+    known = words is not None and all(isinstance(word, str | PathLike) or is_number(word) for word in words)
+    if not known or (words and is_number(words[0])):
+        raise TypeError(message("command", "a text or a list of words", shown(command)))
+    words = [str(word) for word in words]
+    if not words or not words[0]:
+        raise ValueError("`command` must name a program, got nothing. Give it as a list of words.")
+    if any("\0" in word for word in words):
+        raise ValueError(message("command", "words without nulls", shown(command)))
+    return words
+
+
 def template_text(name, template) -> str:
     """The text of a template, or of the file it is in."""
     if isinstance(template, Path):
@@ -157,13 +199,7 @@ def filled(text: str, values: dict) -> str:
 
 
 class FlatGradient:
-    """Gradients by all parameters, one behind the other.
-
-    Parameters
-    ----------
-    gradient : callable
-        `gradient(*parameters, cotangent)`: one array for each parameter.
-    """
+    """Gradients by all parameters, one behind the other, of `gradient(*parameters, cotangent)`."""
 
     def __init__(self, gradient):
         self.gradient = gradient

@@ -8,10 +8,18 @@ from numpy.typing import ArrayLike
 from pytensor.graph.basic import Variable
 from pytensor.tensor.variable import TensorVariable
 
-from pymc_features._checks import as_numbers, check_keywords, message
+from pymc_features._checks import (
+    LARGEST_COUNT,
+    as_array,
+    as_numbers,
+    check_choice,
+    check_keywords,
+    is_number,
+    message,
+    shown,
+)
 from pymc_features.exceptions import UnknownIdentityError
-from pymc_features.external.checks import check_simulator
-from pymc_features.external.evaluator import EvaluationOptions, Evaluator, Failure, Task
+from pymc_features.external.evaluator import EvaluationOptions, Evaluator, Failure, Task, check_seconds
 from pymc_features.external.program import FlatGradient
 from pymc_features.fingerprint import fingerprint
 from pymc_features.ops import ExternalResponse, as_tensor
@@ -78,7 +86,17 @@ class ExternalSimulator:
         **kwargs: Unpack[EvaluationOptions],
     ):
         check_keywords(kwargs, EvaluationOptions.__annotations__, "ExternalSimulator")
-        check_simulator(function, shape, returns, gradient, version, dt)
+        for name, value in (("function", function), ("gradient", gradient)):
+            if not callable(value) and not (name == "gradient" and value is None):
+                raise TypeError(f"`{name}` must be callable, got {type(value).__name__}.")
+        sizes = as_array(shape).tolist() if as_array(shape).ndim == 1 else []
+        if len(sizes) != 2 or not all(is_number(n) and n % 1 == 0 and 1 <= n <= LARGEST_COUNT for n in sizes):
+            what = "(sensors, times) of the data"
+            raise ValueError(message("shape", what, shown(shape), "Pass data.shape."))
+        check_choice(returns, "returns", ("response", "mean_square"))
+        check_seconds("dt", dt)
+        if not (version is None or isinstance(version, str)):
+            raise TypeError(f"`version` must be a text, got {shown(version)}.")
         self.function, self.shape, self.returns = function, tuple(int(n) for n in shape), returns
         self.gradient, self.version, self.dt = gradient, version, dt
         self.evaluator = Evaluator(**{"scratch": getattr(function, "needs_scratch", False)} | kwargs)

@@ -13,10 +13,10 @@ from pymc.util import RandomState
 
 from pymc_features._checks import check_choice, check_mapping, check_model, check_path, check_seed
 from pymc_features.exceptions import NoSpreadError, SamplingWarning
+from pymc_features.external.workers.calls import one_thread_each
 from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
 from pymc_features.inference.cross_check import OF_A_GRADIENT, Density, affordable, cross_check
 from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
-from pymc_features.processes.calls import one_thread_each
 from pymc_features.smc import (
     PersistentSMC,
     Reference,

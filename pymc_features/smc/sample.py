@@ -21,7 +21,7 @@ from pymc_features._checks import (
     shown,
 )
 from pymc_features.exceptions import CheckpointError, NoSpreadError, ToleranceNotReachedError
-from pymc_features.processes.calls import one_thread_each
+from pymc_features.external.workers.calls import one_thread_each
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.kernels.checkpoint import remembered
 from pymc_features.smc.kernels.persistent import PersistentSMC

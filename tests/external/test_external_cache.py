@@ -17,8 +17,8 @@ import pytest
 from pymc_features import DiscrepancySimulator, ProgramSimulator, TruncNormalFeature
 from pymc_features.exceptions import UnknownIdentityError
 from pymc_features.external import EvaluationCache
+from pymc_features.external.workers.calls import Outcome
 from pymc_features.fingerprint import fingerprint
-from pymc_features.processes.calls import Outcome
 from pymc_features.smc.kernels.checkpoint import model_fingerprint
 from pymc_features.smc.sample import is_parallel_by_itself
 from support import external_functions as functions

@@ -29,7 +29,7 @@ from pymc_features import (
     sample_smc,
 )
 from pymc_features.exceptions import NoWorkersError
-from pymc_features.processes import calls
+from pymc_features.external.workers import calls
 from pymc_features.simulators.linear.known import KNOWN
 from pymc_features.simulators.nonlinear.kernels import PARTICLES
 from pymc_features.smc import open_workers, population_logp
@@ -274,7 +274,7 @@ def test_a_model_is_sent_where_it_is_missing_and_parts_again_that_are_lost(eager
     model = model_of("chain")
     logp = population_logp(model, model.initial_point(), {})
     particles = RNG.normal(1.0, 0.3, (200, 3))
-    monkeypatch.setattr("pymc_features.processes.executors.SMALL", 0)
+    monkeypatch.setattr("pymc_features.external.workers.executors.SMALL", 0)
     with Here(lose={3, 4, 5}) as pool, open_workers(pool) as workers:
         own = workers.run().of(logp)
         np.testing.assert_array_equal(own(particles)[1], logp(particles)[1])

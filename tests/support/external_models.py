@@ -6,7 +6,7 @@ from concurrent.futures import Future
 import pymc as pm
 
 from pymc_features import CorrelatedNormal, DiscrepancySimulator, ExpFeature, TruncNormalFeature
-from pymc_features.processes.calls import Outcome
+from pymc_features.external.workers.calls import Outcome
 from support.external_functions import beam
 
 LIKELIHOODS = {

@@ -12,7 +12,7 @@ import cloudpickle
 import numpy as np
 
 from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
-from pymc_features.processes.executors import (
+from pymc_features.external.workers.executors import (
     Batch,
     LocalExecutor,
     Work,

@@ -8,9 +8,8 @@ import xarray as xr
 from pydantic import model_validator
 from pytensor.graph.traversal import ancestors
 
-from pymc_features.emulation import emulate
 from pymc_features.exceptions import ConfigError
-from pymc_features.external import ExternalSimulator, ProgramSimulator
+from pymc_features.external import ExternalSimulator, ProgramSimulator, emulate
 from pymc_features.io.reading.labels import SI
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.ops import ExternalResponse

@@ -131,7 +131,7 @@ CALLS = {
             "progressbar": False,
         },
         TAKEN | {"batch": {"None"}},
-        instead={"pymc_features.emulation.emulate.replaced": work},
+        instead={"pymc_features.external.emulation.replaced": work},
     ),
     "calibrate": Call(
         pmf.calibrate,

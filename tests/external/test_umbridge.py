@@ -11,14 +11,14 @@ import pytest
 import requests
 
 import pymc_features as pmf
-from pymc_features.umbridge import RemoteModel, from_umbridge, models_of
+from pymc_features.external.umbridge import RemoteModel, from_umbridge, models_of
 from support.external_models import AtOnce
 
 pytestmark = pytest.mark.processes
 SERVER = """
 import sys
 from test_umbridge_model import declare
-from pymc_features.umbridge import serve
+from pymc_features.external.umbridge import serve
 
 model, mu = declare()
 serve(model, response=mu, port=int(sys.argv[1]), compile_kwargs={"mode": "FAST_COMPILE"})

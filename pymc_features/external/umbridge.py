@@ -20,8 +20,8 @@ from pytensor.tensor.variable import TensorVariable
 
 from pymc_features._checks import check_integer, check_mapping, check_model, check_text, message, shown
 from pymc_features.exceptions import NotDifferentiableError
-from pymc_features.external import ExternalSimulator
 from pymc_features.external.evaluator import EvaluationOptions
+from pymc_features.external.simulator import ExternalSimulator
 from pymc_features.inference import compiled_logp
 from pymc_features.inference.compiled import LOWEST
 

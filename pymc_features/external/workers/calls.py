@@ -41,8 +41,8 @@ IDLE_KEPT = 64  # processes of all simulators, and payloads; where nobody says t
 def one_thread_each() -> Iterator[None]:
     """Let linear algebra take one thread, in this process and in those that start inside.
 
-    Its matrices have tens of rows: more threads gain nothing, and where several chains have as many as there
-    are processors they wait for each other, which takes several times as long.
+    Its matrices have tens of rows: more threads gain nothing, and those of several chains wait for each
+    other.
     """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
@@ -60,25 +60,9 @@ def one_thread_each() -> Iterator[None]:
 class SimulatorProcess:
     """One process that holds one simulator.
 
-    Parameters
-    ----------
-    payload : bytes
-        By cloudpickle: function, observed, shape and scratch folder; without a shape the function's result is
-        taken as it is.
-    is_wanted : callable
-        Asked about once a second while it starts; it is ended where it is not.
-
-    Attributes
-    ----------
-    digests : list of str
-        Of the payloads that it has loaded; whoever starts it names the first.
-
-    Raises
-    ------
-    UnusableSimulatorError
-        If the function cannot be loaded there.
-    DiedAtStartError
-        If the process ends before.
+    `payload` is by cloudpickle: function, observed, shape and scratch folder; without a shape the function's
+    result is taken as it is. `is_wanted` is asked about once a second while it starts: where it is not, it is
+    ended. `digests` are those of the payloads that it has loaded; whoever starts it names the first.
     """
 
     def __init__(self, payload: bytes, is_wanted: Callable[[], bool] = lambda: True):
@@ -206,18 +190,8 @@ _LOCK = threading.Lock()
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a call.
-
-    Attributes
-    ----------
-    state : str
-        "ok", "error", "timeout", "died" or "no payload".
-    value : array or None
-        The result.
-    message : str
-        What went wrong.
-    seconds : float
-        The simulation's own time.
+    """What became of a call: state "ok", "error", "timeout", "died" or "no payload", result, what went wrong,
+    and the simulation's own time [s].
     """
 
     state: str

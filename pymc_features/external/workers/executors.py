@@ -13,7 +13,7 @@ from queue import Empty, SimpleQueue
 
 from pymc_features._checks import shown
 from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
-from pymc_features.processes.calls import Outcome, call, end_processes
+from pymc_features.external.workers.calls import Outcome, call, end_processes
 
 MOST_PROCESSES = 10_000
 PAYLOADS_KEPT = 8  # on a cluster, for each client
@@ -55,12 +55,7 @@ class LocalExecutor(ThreadPoolExecutor):
     """Threads that wait, each for a process of its own.
 
     Each has one call in work and one in reserve. So a run that is killed loses no more than two results of
-    each, however slowly they are written down.
-
-    Attributes
-    ----------
-    places : int
-        How many calls run at once.
+    each, however slowly they are written down. `places` is how many calls run at once.
     """
 
     brings = True
@@ -76,14 +71,7 @@ class LocalExecutor(ThreadPoolExecutor):
 
 
 class DaskExecutor:
-    """`submit` on a Dask cluster; a worker that dies hands its tasks to others.
-
-    Parameters
-    ----------
-    client : dask.distributed.Client
-    ours : bool
-        Whether it is to be closed at the end.
-    """
+    """`submit` on a Dask cluster; a worker that dies hands its tasks to others. Our own client is closed."""
 
     brings = True
 
@@ -143,18 +131,8 @@ def processors() -> int:
 
 @dataclass(frozen=True)
 class Work:
-    """What is to be simulated.
-
-    Attributes
-    ----------
-    digest : str
-        Of the payload.
-    payload : bytes
-        Function, data and settings, for a `SimulatorProcess`.
-    timeout : float or None
-        Of one call [s].
-    retries : int
-        Further attempts at a call that failed.
+    """What is to be simulated: the payload of a `SimulatorProcess` and its digest, the time limit of a call
+    [s], and how often one that failed is tried again.
     """
 
     digest: str
@@ -164,13 +142,7 @@ class Work:
 
 
 def submitted(executor, work: Work, arguments, payload):
-    """The future of one call.
-
-    Raises
-    ------
-    NoWorkersError
-        If the executor takes none.
-    """
+    """The future of one call; NoWorkersError if the executor takes none."""
     try:
         return executor.submit(call, work.digest, arguments, work.timeout, payload)
     except (BrokenExecutor, RuntimeError) as error:
@@ -184,19 +156,9 @@ class Batch:
     """Runs calls on an executor, and those again that failed or were lost.
 
     A call whose process died is tried once more whatever `retries` says, for the cause may have come from
-    outside.
-
-    Parameters
-    ----------
-    executor : object with submit()
-        Where. If it has `brings` that is true, it brings the payload to each place once; if it has `at_most`,
-        it gets no more calls than that before their outcomes are taken.
-    work : Work
-        What.
-    done : callable
-        (number of the call, Outcome) -> None, for each call when it is over, in any order.
-    tick : callable
-        Called about once a second meanwhile.
+    outside. An executor with a true `brings` takes the payload to each place once; one with `at_most` gets no
+    more calls than that before their outcomes are taken. `done` is called with the number of each call and
+    its Outcome, in any order; `tick` about once a second meanwhile.
     """
 
     def __init__(self, executor, work: Work, done: Callable, tick: Callable):

@@ -13,8 +13,8 @@ from pytensor.graph.replace import graph_replace
 from pytensor.graph.traversal import ancestors
 
 from pymc_features._checks import message
-from pymc_features.emulation.emulator import PREDICTED_AT_ONCE, Emulator
-from pymc_features.external import ExternalSimulator
+from pymc_features.external.emulator import PREDICTED_AT_ONCE, Emulator
+from pymc_features.external.simulator import ExternalSimulator
 from pymc_features.fingerprint import fingerprint
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.inference.unit_cube import parts_of
@@ -27,18 +27,9 @@ SAME_RUN = 1e-9  # distance in scaled coordinates within which parameters are th
 class StandIn:
     """Stands in for the simulator in the Ops of a model: an emulator, which may be replaced by a better.
 
-    Parameters
-    ----------
-    simulator : ExternalSimulator
-
-    Attributes
-    ----------
-    emulator : Emulator
-    shift : array (component,) or None
-        If given, components are taken so many standard deviations off their means, and not as uncertain:
-        what the likelihood would be then.
-    truly : bool
-        Whether runs are looked up in place of predictions; the parameters must be those of runs.
+    With a `shift` (component,) components are taken so many standard deviations off their means, and not as
+    uncertain: what the likelihood would be then. Where `truly` is set, runs are looked up in place of
+    predictions, at the parameters of runs only.
     """
 
     gradient = True  # there is one
@@ -169,15 +160,7 @@ def unflat(gradient, parameters):
 
 
 class Part(NamedTuple):
-    """One response in a model.
-
-    Attributes
-    ----------
-    simulator : ExternalSimulator
-    stand_in : StandIn
-    parameters_of : callable
-        Points theta (n, d) on the unconstrained scale to the arguments of the simulator, arrays with rows.
-    """
+    """One response in a model; `parameters_of` turns points theta (n, d) into arguments with rows."""
 
     simulator: ExternalSimulator
     stand_in: StandIn
@@ -185,13 +168,7 @@ class Part(NamedTuple):
 
 
 def replaced(model: pm.Model) -> tuple[pm.Model, list[Part]]:
-    """A copy of a model with stand-ins in the place of its external simulators.
-
-    Raises
-    ------
-    ValueError
-        If there is no response of one.
-    """
+    """A copy of a model with stand-ins in the place of its external simulators."""
     initial = dict(model.rvs_to_initial_values)
     model.rvs_to_initial_values.update(dict.fromkeys(initial))  # PyMC copies no model that has some
     try:

@@ -15,12 +15,17 @@ from pymc_features import (
     emulate,
     mean_square_discrepancy,
 )
-from pymc_features.emulation import gaussian_process
-from pymc_features.emulation.campaign import largest_change, remaining
-from pymc_features.emulation.emulator import Coordinates, Emulator
-from pymc_features.emulation.gaussian_process import GaussianProcess, Hyperparameters, fit_hyperparameters
-from pymc_features.emulation.replacement import replaced
 from pymc_features.exceptions import SamplingWarning
+from pymc_features.external import emulator as gaussian_process
+from pymc_features.external.emulation import largest_change, remaining
+from pymc_features.external.emulator import (
+    Coordinates,
+    Emulator,
+    GaussianProcess,
+    Hyperparameters,
+    fit_hyperparameters,
+)
+from pymc_features.external.replacement import replaced
 from support.external_models import AtOnce
 
 TIME = np.linspace(0.0, 3.0, 40)
@@ -48,13 +53,13 @@ def test_gaussian_process_is_universal_kriging(kernel):
     x, y, new = rng.uniform(size=(15, 2)), rng.normal(size=(15, 3)), rng.uniform(size=(4, 2))
     process = GaussianProcess(x, y, Hyperparameters(kernel, LENGTHS, 1e-3))
     basis, at_new = (np.column_stack([np.ones(len(p)), p, p[:, :1] * p, p[:, 1] ** 2]) for p in (x, new))
-    known = process.correlation(x, x) + (1e-3 + gaussian_process.JITTER) * np.eye(15)
+    known = process.kernel(x, x)[0] + (1e-3 + gaussian_process.JITTER) * np.eye(15)
     bordered = np.block([[known, basis], [basis.T, np.zeros((6, 6))]])
-    right = np.vstack([process.correlation(x, new), at_new.T])
+    right = np.vstack([process.kernel(x, new)[0], at_new.T])
     solved = np.linalg.solve(bordered, right)
     mean, variance = process.predict(new)
     np.testing.assert_allclose(mean, solved[:15].T @ y, rtol=1e-6)
-    covariance = process.correlation(new, new) - right.T @ solved
+    covariance = process.kernel(new, new)[0] - right.T @ solved
     np.testing.assert_allclose(process.covariance(new), covariance, atol=1e-9)
     np.testing.assert_allclose(variance, np.diag(covariance), atol=1e-9)
     by_mean, by_variance = rng.normal(size=(4, 3)), rng.normal(size=4)
@@ -82,7 +87,7 @@ def test_marginal_likelihood(kernel):
     def direct(p):
         process = GaussianProcess(x, y, Hyperparameters(kernel, np.exp(p[:2]), np.exp(p[2])))
         noise = np.exp(p[2]) + gaussian_process.JITTER
-        k = contrasts.T @ (process.correlation(x, x) + noise * np.eye(14)) @ contrasts
+        k = contrasts.T @ (process.kernel(x, x)[0] + noise * np.eye(14)) @ contrasts
         rest = contrasts.T @ y[:, 0]
         off = (p[:2] - gaussian_process.LENGTH_PRIOR[0]) / gaussian_process.LENGTH_PRIOR[1]
         return np.linalg.slogdet(k)[1] + 11 * np.log(rest @ np.linalg.solve(k, rest)) + off @ off
@@ -143,7 +148,9 @@ def test_predictions_are_close_and_as_uncertain_as_they_say(emulator):
     true = np.array([oscillators(*row) for row in x])
     z, variances = emulator.predict(x)
     assert np.sqrt(np.mean((emulator.responses_of(z) - true) ** 2)) < 0.02
-    errors = (emulator.scores(true) - z) / np.sqrt(variances)
+    scaled = ((true - emulator.mean) / emulator.sensor_scale).reshape(200, -1)
+    scores = scaled @ (emulator.basis / emulator.sensor_scale).reshape(z.shape[1], -1).T
+    errors = (scores - z) / np.sqrt(variances)
     assert 0.05 < np.sqrt(np.mean(errors**2)) < 3.0
     assert emulator.fails(emulator.x).tolist() == [i == 7 for i in range(30)]
 
