@@ -5,8 +5,7 @@ from pymc_features.smc.density.graph import Outputs, batched_graph
 from pymc_features.smc.density.prior import prior_points
 from pymc_features.smc.density.rows import RowFunction
 from pymc_features.smc.kernels.base import PopulationKernel
-from pymc_features.smc.kernels.imh import PopulationIMH
-from pymc_features.smc.kernels.mh import PopulationMH
+from pymc_features.smc.kernels.metropolis import PopulationIMH, PopulationMH
 from pymc_features.smc.kernels.persistent import PersistentSMC
 from pymc_features.smc.kernels.subset import SubsetSimulation
 from pymc_features.smc.kernels.tmcmc import TMCMC
