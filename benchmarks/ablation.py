@@ -47,7 +47,6 @@ entry = sys.modules[pmf.sample.__module__]
 # part -> (object, attribute, what stands there instead), any number of them
 PARTS = {
     "nothing": (),
-    "patches": ((last_draws, "patched", lambda fit, *rest: fit),),
     "trials": ((persistent.PersistentSMC, "pays_to_fit_again", lambda self, trials: False),),
     "draws anew": ((last_draws, "HEAVY_K", np.inf),),
     "second map": ((last_draws, "fit_twice_to", fitted.fit_to),),
@@ -61,7 +60,6 @@ PARTS = {
     "paths from a reference": ((persistent, "USABLE_REFERENCE", 2.0),),
     "climbs": ((entry, "find_reference", lambda *args: None),),
     "smoothing": ((pool, "pareto_smoothed", lambda log_weights: log_weights),),
-    "best shares": ((last_draws, "REFERENCE_SHARES", np.ones(1)),),
 }
 
 

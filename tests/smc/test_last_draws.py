@@ -95,7 +95,6 @@ class LastStage(last_draws.LastDraws):
 @pytest.fixture
 def normal_fit(monkeypatch):
     monkeypatch.setattr(last_draws, "fit_twice_to", lambda *_: NormalFit())
-    monkeypatch.setattr(last_draws, "patched", lambda fit, *_: fit)
 
 
 @pytest.mark.statistical

@@ -7,8 +7,7 @@ import numpy as np
 
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.smc.proposals.fitted import fit_twice_to
-from pymc_features.smc.proposals.mixture import equal_draws, log_sum
-from pymc_features.smc.proposals.patches import patched
+from pymc_features.smc.proposals.mixture import equal_draws
 from pymc_features.smc.proposals.pool import LARGEST_K, LARGEST_SHARE, Pool
 from pymc_features.smc.proposals.reference import MANY, good_share
 
@@ -20,7 +19,6 @@ TRIAL = 0.25  # worth, of `draws`, of those that decide then
 MOST_TRIALS, BETTER = 5, 1.5  # of fits that follow each other, each better than the one before by this factor
 MARGIN, ADDITION = 1.1, 0.2  # numbers that are drawn and, if they are worth too little, added: over the need
 REFIT = 0.2  # worth, of `draws`, of what has been drawn, below which another fit follows
-REFERENCE_SHARES = 0.5 ** np.arange(5)  # of the reference in what is drawn, over that in the trial
 TOO_FEW = "PersistentSMC ended with draws worth {:.0f} of {}. Increase `stage_draws`, or narrow the priors."
 
 
@@ -30,11 +28,11 @@ class Trial(NamedTuple):
     Attributes
     ----------
     rate : float
-        What as many draws would be worth, over their number, with the best share of the reference.
+        What the draws are worth, over their number.
     fit : int
         Number of the density.
     of_reference : float
-        That share.
+        Share of the reference in them.
     """
 
     rate: float
@@ -55,7 +53,7 @@ class LastDraws:
 
         Only draws count that have shaped no fit: of the last one. If few show that more is missing than
         were drawn in all, it draws as many, and another one follows. So it does where a few draws outweigh
-        the rest, with a part around each of these. A good reference that is bent stands in for the fit.
+        the rest. A good reference that is bent stands in for the fit.
         Where weights are heavy, draws of a fit are a trial only: other fits follow, to these draws as well,
         as long as they become better; then see `drawn_anew`.
         """
@@ -72,8 +70,7 @@ class LastDraws:
             refit = not missing and used - before_tails + n_sample < FOR_TAILS * self.draws
             refit = refit and k > LARGEST_K and sample.largest_share() > LARGEST_SHARE
             if not (missing or refit) and heavy and used < most:
-                shares, gain = most_even(sample)
-                trials.append(Trial(worth * gain / n_sample, pool.known()[-1], shares[0]))
+                trials.append(Trial(worth / n_sample, pool.known()[-1], sample.counts[0] / n_sample))
                 again = self.pays_to_fit_again(trials)
                 if not again:
                     sample, n = self.drawn_anew(trials)
@@ -87,7 +84,7 @@ class LastDraws:
             if refit or (poor and n > max(used, first)):
                 n = 0 if refit else limit - drawn
                 if n <= 0:
-                    source, n, limit, drawn = self.fit_again(sample), first, max(used, first), 0
+                    source, n, limit, drawn = self.fit_again(), first, max(used, first), 0
             n = int(np.clip(n, 0.1 * self.draws, 2.0 * self.draws + used))
             self.draw_more(n, source)
             used, drawn = used + n, drawn + n
@@ -104,15 +101,14 @@ class LastDraws:
         better = not before or last.rate > BETTER * before[-1].rate
         return better and last.rate < good_share(self.n_parameters) and len(trials) < MOST_TRIALS
 
-    def fit_again(self, sample: Pool) -> int:
-        """Fit to the whole pool, with a part around each heavy draw of the sample; the number of the fit."""
+    def fit_again(self) -> int:
+        """Fit to the whole pool; the number of the fit."""
         pool = self.pool
         self.weights = pool.normalised(pool.log_weights(1.0))
-        points, shares = self.fitting_points(), sample.normalised(sample.log_weights(1.0))
+        points = self.fitting_points()
         # draws in many dimensions, a few of them heavy, are too few for a fit to be as good
         bent = not self.needs_fit and self.n_parameters >= MANY
-        fit = self.reference.mixture if bent else fit_twice_to(points, self.rng, self.bounded)
-        pool.add_proposal(patched(fit, points, sample.particles, shares))
+        pool.add_proposal(self.reference.mixture if bent else fit_twice_to(points, self.rng, self.bounded))
         return len(pool.betas) - 1
 
     def drawn_anew(self, trials: list[Trial]) -> tuple[Pool, int]:
@@ -160,19 +156,3 @@ class LastDraws:
         weights = sample.normalised(sample.posterior_log_weights())
         chosen = equal_draws(weights, self.draws, self.rng)
         self.tempered_posterior = sample.particles[chosen]
-
-
-def most_even(sample: Pool) -> tuple[np.ndarray, float]:
-    """Shares (s,) of the densities, fewer of the reference, with the most even weights; and their gain.
-
-    The gain: over the shares as they are, in effective draws of the same number, as the sample foretells it.
-    """
-    shares, log_mixture = sample.counts / sample.counts.sum(), sample.log_mixture()
-    ratio, terms = sample.log_ratio - sample.log_ratio.max(), sample.terms()
-    moments = []
-    for of_reference in shares[0] * REFERENCE_SHARES:
-        trial = np.append(of_reference, shares[1:] * (1.0 - of_reference) / (1.0 - shares[0]))
-        log_trial = log_sum(terms[trial > 0] + np.log(trial[trial > 0])[:, None])
-        moments.append((sample.mass @ np.exp(2.0 * ratio - log_mixture - log_trial), trial))
-    least, best = min(moments, key=lambda moment: moment[0])
-    return best, moments[0][0] / least
