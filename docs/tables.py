@@ -13,7 +13,7 @@ from pymc_features.ambient import AmbientResponse
 from pymc_features.inference import sample
 from pymc_features.io import FORMATS
 from pymc_features.likelihoods import HISTORY_LIKELIHOODS, NODES
-from pymc_features.modal_features import ModalFeature
+from pymc_features.modal import ModalFeature
 from pymc_features.smc import KERNELS, SIMULATOR_KERNELS
 from pymc_features.structures import DAMPINGS, STRUCTURES
 from pymc_features.structures.specimens import SPECIMENS

@@ -32,9 +32,8 @@ from pymc_features.likelihoods import (
     abc_tolerance,
     sigma_mpv,
 )
-from pymc_features.modal import ModalData, merge_setups
+from pymc_features.modal import ModalData, ModalFeature, mac, match_modes, merge_setups, modes
 from pymc_features.modal.files import read_modal, write_modal
-from pymc_features.modal_features import ModalFeature, mac, match_modes, modes
 from pymc_features.ops import mean_square_discrepancy, response
 from pymc_features.placement import sensor_placement
 from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...

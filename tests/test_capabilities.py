@@ -30,7 +30,7 @@ CAPABILITIES = {  # file: what a user can do: the test
     "structures/test_names.py": {
         "structures: with_names": "test_responses_by_name_are_those_by_number",
     },
-    "modal_features/test_modes.py": {
+    "modal/test_modes.py": {
         "structures: small motions": "test_a_nonlinear_chain_has_the_modes_of_small_motions",
         "modal: rigid modes": "test_a_rigid_body_has_frequency_zero_and_no_infinite_gradient",
     },
@@ -90,7 +90,7 @@ CAPABILITIES = {  # file: what a user can do: the test
         "modal: ModalData": "test_what_it_holds",
         "modal: mac": "test_mac",
     },
-    "modal_features/test_match.py": {
+    "modal/test_match.py": {
         "modal: match_modes": "test_swapped_modes_are_matched_in_every_draw",
     },
     "modal/test_merge_setups.py": {
@@ -100,10 +100,10 @@ CAPABILITIES = {  # file: what a user can do: the test
         "modal: set-ups in a file": "test_setups_are_merged",
         "update: modes": "test_posterior_has_the_truth_and_the_report_its_numbers",
     },
-    "modal_features/test_feature.py": {
+    "modal/test_feature.py": {
         "modal: complex shapes": "test_density_against_scipy_and_all_assignments",
     },
-    "modal_features/test_shared_error.py": {
+    "modal/test_shared_error.py": {
         "modal: repeated identifications": "test_closed_form_against_dense_matrices",
     },
     "identification/test_identification.py": {

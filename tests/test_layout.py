@@ -29,7 +29,7 @@ ALLOWED = {
     "structures": {"algebra", "records", "simulators", "io"},  # of these the modes of chains
     "simulators": {"algebra", "records", "band_limited"},
     "signals": set(),
-    "modal": {"io"},
+    "modal": {"records", "structures", "simulators", "ops", "io"},
     "io": {"records", "signals", "band_limited"},
     "datasets": {"records", "io", "modal"},
     "ground_motion": {"records"},
@@ -38,9 +38,8 @@ ALLOWED = {
     "fingerprint": set(),
     "prediction": {"records", "structures", "simulators"},
     "ops": {"algebra", "records", "structures", "simulators", "band_limited"},
-    "modal_features": {"records", "structures", "simulators", "ops"},
-    "ambient": {"records", "structures", "simulators", "ops", "modal", "modal_features", "signals"},
-    "likelihoods": {"ops", "modal_features", "fingerprint"},
+    "ambient": {"records", "structures", "simulators", "ops", "modal", "signals"},
+    "likelihoods": {"ops", "modal", "fingerprint"},
     "smc": {"external", "simulators"},  # of it the workers, as in the next
     "inference": {"records", "structures", "simulators", "ops", "likelihoods", "external", "smc"},
     "calibration": {"ops", "likelihoods", "inference", "smc"},
@@ -51,12 +50,12 @@ ALLOWED = {
         *("ops", "likelihoods", "smc", "inference", "calibration", "storage"),
         "plots",
     },
-    "plots": {"records", "likelihoods", "modal", "modal_features", "signals"},
+    "plots": {"records", "likelihoods", "modal", "signals"},
     "progress": set(),
     "update": {
         *("records", "structures", "signals", "io", "datasets", "ground_motion", "simulators", "ops"),
         *("likelihoods", "smc", "inference", "calibration", "prediction"),
-        *("storage", "plots", "modal", "modal_features", "events", "ambient"),
+        *("storage", "plots", "modal", "events", "ambient"),
         "external",
     },
 }

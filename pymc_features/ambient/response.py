@@ -40,7 +40,7 @@ from pymc_features.ambient.bands import (
 )
 from pymc_features.ambient.operations import ModalFactor, ModalFactorGradient, SpectralGradient, SpectralLogp
 from pymc_features.exceptions import AmbientWarning
-from pymc_features.modal_features import modes
+from pymc_features.modal import modes
 from pymc_features.ops import as_tensor, by_labels, known_dims
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.simulators.request import check_outputs, check_sensors, picked_by_name

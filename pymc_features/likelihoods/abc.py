@@ -39,9 +39,9 @@ from pymc_features.likelihoods.simulator_functions import (
     node_of,
     number,
 )
-from pymc_features.modal_features import SymbolicModes
-from pymc_features.modal_features.feature import add_coordinates
-from pymc_features.modal_features.identified import identified
+from pymc_features.modal import SymbolicModes
+from pymc_features.modal.feature import add_coordinates
+from pymc_features.modal.identified import identified
 from pymc_features.ops import (
     NoGradient,
     as_tensor,

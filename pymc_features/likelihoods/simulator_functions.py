@@ -18,10 +18,10 @@ from scipy.optimize import linear_sum_assignment
 
 from pymc_features.exceptions import SimulationWarning, UnknownIdentityError
 from pymc_features.fingerprint import fingerprint
-from pymc_features.modal_features import SymbolicModes, mac
-from pymc_features.modal_features.identified import Identified
-from pymc_features.modal_features.matching import Assignment, one_minus_mac
-from pymc_features.modal_features.structural_modes import StructuralModes
+from pymc_features.modal import SymbolicModes, mac
+from pymc_features.modal.identified import Identified
+from pymc_features.modal.matching import Assignment, one_minus_mac
+from pymc_features.modal.structural_modes import StructuralModes
 from pymc_features.ops import NoGradient, StructuralResponse, mean_square_discrepancy, measured_samples
 
 ADVICE = (

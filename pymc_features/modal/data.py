@@ -1,10 +1,11 @@
-"""The modes that an identification found."""
+"""The modes that an identification found, and how far mode shapes agree."""
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pymc_features._checks import (
     as_list,
@@ -15,9 +16,11 @@ from pymc_features._checks import (
     listed,
     message,
     shown,
+    warn_caller,
 )
-from pymc_features.modal.shapes import phase_collinearity, real_shape
+from pymc_features.exceptions import ModalDataWarning
 
+COLLINEAR = 0.9  # modal phase collinearity below which a real shape stands badly for a complex one
 _SD = 0.0, np.inf, "at least 0, or NaN where it is not known", ". Correct it first."
 #: Numbers beside frequencies and shapes: least, below what, in words, and what to do.
 _LIMITS = {
@@ -209,10 +212,11 @@ class ModalData:
     def phase_collinearity(self) -> np.ndarray:
         """Modal phase collinearity (m,) of the shapes: 1 if all entries move in phase or against it.
 
-        ((S_xx - S_yy)^2 + 4 S_xy^2) / (S_xx + S_yy)^2, with the products S of real and imaginary parts.
+        It is the MAC of a shape and its conjugate: with the products S of real and imaginary parts,
+        ((S_xx - S_yy)^2 + 4 S_xy^2) / (S_xx + S_yy)^2.
         """
         self._demand_shapes()
-        return np.array([phase_collinearity(shape) for shape in self.shapes])
+        return np.array([agreement(shape, shape.conj()) for shape in self.shapes])
 
     def real(self) -> "ModalData":
         """Return the modes with real shapes, each turned by the phase that leaves the least imaginary part.
@@ -280,3 +284,69 @@ def _index(mode, n_modes: int) -> int:
     if not isinstance(mode, int | np.integer) or isinstance(mode, bool) or not 0 <= mode < n_modes:
         raise ValueError(f"`modes` must be indices from 0 to {n_modes - 1}, got {mode!r}.")
     return int(mode)
+
+
+def mac(shapes: ArrayLike, others: ArrayLike) -> np.ndarray:
+    r"""Modal assurance criterion of each pair of shapes.
+
+    .. math:: \mathrm{MAC} = \frac{|\phi^H \hat\phi|^2}{(\phi^H \phi)(\hat\phi^H \hat\phi)}
+
+    One where the shapes are the same up to a factor, real or complex; zero where they are orthogonal. With
+    the best factor a, ``1 - MAC = ||a phi - phi^||^2 / ||phi^||^2``.
+
+    Parameters
+    ----------
+    shapes, others : array_like (m, s), (i, s)
+        One shape in each row; entries that are NaN in either are left out of the pair.
+
+    Returns
+    -------
+    array (m, i)
+        NaN where a pair has no entry in common.
+
+    References
+    ----------
+    R. J. Allemang & D. L. Brown, Proc. 1st Int. Modal Analysis Conf. (1982) 110-116.
+
+    Examples
+    --------
+    >>> mac([[1.0, 2.0], [2.0, -1.0]], [[-2.0, -4.0]])
+    array([[1.],
+           [0.]])
+    """
+    shapes = as_numbers(shapes, "shapes", "Give one shape in each row.", allow_complex=True)
+    others = as_numbers(others, "others", "Give one shape in each row.", allow_complex=True)
+    if shapes.ndim != 2 or others.ndim != 2 or shapes.shape[1] != others.shape[1]:
+        raise ValueError(
+            f"`shapes` and `others` must have rows of equal length, got shapes {shapes.shape} and "
+            f"{others.shape}. Give one shape in each row, at the same channels."
+        )
+    one, two = ~np.isnan(shapes), ~np.isnan(others)
+    a, b = (np.where(known, x, 0.0) for known, x in ((one, shapes), (two, others)))
+    # squares of tiny or huge entries would leave the range of numbers
+    a, b = (x / np.maximum(abs(x).max(axis=1, keepdims=True, initial=0.0), 1e-300) for x in (a, b))
+    products = abs(a.conj() @ b.T) ** 2
+    norms = (abs(a) ** 2 @ two.T) * (one @ (abs(b) ** 2).T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(norms > 0.0, products / norms, np.nan)
+
+
+def agreement(a: np.ndarray, b: np.ndarray) -> float:
+    """Modal assurance criterion of two shapes (s,), at most 1; 0 if they have no entry in common."""
+    return round(min(float(np.nan_to_num(mac(a[None], b[None])[0, 0])), 1.0), 15)
+
+
+def real_shape(shape: np.ndarray) -> np.ndarray:
+    """Real part of a shape (s,), turned by the phase that leaves the least imaginary part.
+
+    That is half the phase of phi^T phi; of the two senses, the one with the largest entry positive.
+    """
+    unit = shape / np.nanmax(np.abs(shape))
+    turned = (shape * np.exp(-0.5j * np.angle(np.nansum(unit * unit)))).real
+    turned[np.isnan(shape)] = np.nan
+    return turned if turned[np.nanargmax(np.abs(turned))] > 0.0 else -turned
+
+
+def warn_modes(text: str) -> None:
+    """Warn at the line that called into this package from outside."""
+    warn_caller(text, ModalDataWarning)

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from pymc_features._checks import check_number, check_texts, listed, shown
-from pymc_features.modal.data import ModalData, find_channels
-from pymc_features.modal.shapes import mac, warn_modes
+from pymc_features.modal.data import ModalData, agreement, find_channels, warn_modes
 
 RADIANS = (2.0 * np.pi, 0.5 / np.pi)  # ratios of rad/s and Hz
 STILL = 0.1  # of the largest entry of a shape: references below it give its scale poorly
@@ -188,9 +187,9 @@ def _join(modes, setups, parts, number, limits) -> None:
         frequency, shape = _frequency(setups, members), _reference(parts, members)
         for k in range(found.size):
             difference = abs(found[k] - frequency) / frequency
-            agreement = mac(shape, parts[number][k])
-            if difference <= tolerance and agreement >= max(least, 1e-12):
-                cost[row, k] = difference / tolerance + 1.0 - agreement
+            likeness = agreement(shape, parts[number][k])
+            if difference <= tolerance and likeness >= max(least, 1e-12):
+                cost[row, k] = difference / tolerance + 1.0 - likeness
     allowed = np.isfinite(cost)
     if not allowed.any():
         raise _nothing_in_common(modes, setups, parts, number, limits)
@@ -225,7 +224,7 @@ def _nothing_in_common(modes, setups, parts, number, limits) -> ValueError:
         whose = f"set-up {number}" if likely > 1.0 else "the others"
         advice = f'They differ by 2 pi: are those of {whose} in rad/s? Read them with names={{"omega": ...}}.'
     elif pairs[likely]:
-        best = max(mac(_reference(parts, m), part) for m in modes for part in parts[number])
+        best = max(agreement(_reference(parts, m), part) for m in modes for part in parts[number])
         advice = (
             "Frequencies agree, shapes do not: the best modal assurance criterion at the references is "
             f"{best:.2f}. Check the names and senses of the reference channels, or lower `least_mac`."

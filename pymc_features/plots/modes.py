@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pymc_features._checks import as_array, as_list, as_numbers, check_mapping, message, shown
-from pymc_features.modal import ModalData
-from pymc_features.modal.shapes import real_shape
-from pymc_features.modal_features import mac
+from pymc_features.modal.data import ModalData, mac, real_shape
 from pymc_features.plots.axes import AxesLike, checked_axes, figure, legend_outside
 
 CELL, LARGEST = 0.62, 11.0  # inches, of a cell of a matrix and of all

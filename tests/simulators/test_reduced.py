@@ -6,7 +6,7 @@ from scipy import sparse
 from scipy.linalg import eigh
 
 from pymc_features import AffineStructure, ModalDamping
-from pymc_features.modal_features.structural_modes import AT_REST
+from pymc_features.modal.structural_modes import AT_REST
 from pymc_features.simulators import FAMILIES, Outputs
 from pymc_features.simulators.linear.arguments import LinearParameters
 from pymc_features.simulators.linear.known import KNOWN, Known, lowest

@@ -13,8 +13,7 @@ from pymc_features.io.formats.libraries import is_universal
 from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.recording import Opening
 from pymc_features.modal import ModalData
-from pymc_features.modal.files.identified import modal_data
-from pymc_features.modal.files.quantities import check_names
+from pymc_features.modal.files.quantities import check_names, modal_data
 from pymc_features.modal.files.table import read_table
 from pymc_features.modal.files.universal import read_universal
 from pymc_features.modal.files.variables import (

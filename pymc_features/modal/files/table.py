@@ -24,8 +24,14 @@ import numpy as np
 from pymc_features.io.reading.labels import without_brackets
 from pymc_features.io.reading.lines import LONGEST_NUMBER, Lines, to_number
 from pymc_features.modal.data import find_channels, listed
-from pymc_features.modal.files.identified import Identified
-from pymc_features.modal.files.quantities import ALIKE, SPREADS, labelled_quantities, mode_values, quantity_of
+from pymc_features.modal.files.quantities import (
+    ALIKE,
+    SPREADS,
+    Identified,
+    labelled_quantities,
+    mode_values,
+    quantity_of,
+)
 
 SEPARATORS = ("\t", ";", ",")
 QUANTITIES = [

@@ -22,8 +22,8 @@ import numpy as np
 from pymc_features._checks import listed
 from pymc_features.io.formats.libraries import AXES, FUNCTIONS, KNOWN, NAME, is_mark
 from pymc_features.io.reading.lines import Lines, check_size, to_count, to_number, warn_of_widths
-from pymc_features.modal.files.identified import Identified
-from pymc_features.modal.shapes import warn_modes
+from pymc_features.modal.data import warn_modes
+from pymc_features.modal.files.quantities import Identified
 
 MODES = {2: "normal", 3: "complex", 7: "complex"}  # types of analysis
 MOTION = {0: "unknown", 1: "general", 8: "displacement", 11: "velocity", 12: "acceleration"}

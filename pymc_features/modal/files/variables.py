@@ -24,8 +24,14 @@ import numpy as np
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.reading.lines import decoded, shortened
 from pymc_features.modal.data import listed
-from pymc_features.modal.files.identified import Identified
-from pymc_features.modal.files.quantities import ALIKE, NAMES, labelled_quantities, mode_values, quantity_of
+from pymc_features.modal.files.quantities import (
+    ALIKE,
+    NAMES,
+    Identified,
+    labelled_quantities,
+    mode_values,
+    quantity_of,
+)
 
 MOST_JSON = 64 * 2**20  # bytes
 

@@ -15,11 +15,10 @@ from pymc_features import plots
 from pymc_features._checks import listed
 from pymc_features.exceptions import ConfigError, ModalMatchWarning, PriorWarning
 from pymc_features.likelihoods import LIKELIHOODS, Likelihood
-from pymc_features.modal import ModalData, merge_setups
+from pymc_features.modal import ModalData, ModalFeature, match_modes, merge_setups, modes
+from pymc_features.modal.feature import checked_parameters
 from pymc_features.modal.files import read_modal
-from pymc_features.modal_features import ModalFeature, match_modes, modes
-from pymc_features.modal_features.feature import checked_parameters
-from pymc_features.modal_features.identified import identified
+from pymc_features.modal.identified import identified
 from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Vector, evaluated
 from pymc_features.update.config.messages import named_key, refuse, shown

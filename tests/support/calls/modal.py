@@ -68,9 +68,9 @@ CALLS = {
             "least_mac": FRACTIONS,
         },
         instead={
-            "pymc_features.modal_features.feature.evaluate": work,
-            "pymc_features.modal_features.feature.evaluate_draws": work,
-            "pymc_features.modal_features.feature.match_of": str,
+            "pymc_features.modal.feature.evaluate": work,
+            "pymc_features.modal.feature.evaluate_draws": work,
+            "pymc_features.modal.feature.match_of": str,
         },
     ),
     "ModalFeature": Call(
@@ -96,6 +96,6 @@ CALLS = {
         },
         {"observed": ["frequencies"]},
         coords={},
-        instead={"pymc_features.modal_features.feature.warn_at_start": str},
+        instead={"pymc_features.modal.feature.warn_at_start": str},
     ),
 }

@@ -32,8 +32,8 @@ from pymc_features._checks import (
     warn_caller,
 )
 from pymc_features.exceptions import ModalMatchWarning
-from pymc_features.modal_features.identified import Identified, identification_names, identified
-from pymc_features.modal_features.matching import (
+from pymc_features.modal.identified import Identified, identification_names, identified
+from pymc_features.modal.matching import (
     ModalFeatureRV,
     log_densities,
     masks,
@@ -41,7 +41,7 @@ from pymc_features.modal_features.matching import (
     one_minus_mac,
     variances,
 )
-from pymc_features.modal_features.structural_modes import SymbolicModes
+from pymc_features.modal.structural_modes import SymbolicModes
 from pymc_features.ops import as_tensor, known_dims
 
 DENSITIES = {"TN": 1.0, "EXP": 2.0}  # degrees of freedom
@@ -104,7 +104,7 @@ class ModalFeature(Continuous):
     -----
     The log-likelihood is the largest over all assignments. It is continuous wherever frequencies and shapes
     are, as a set: where modes cross, the terms only change their order
-    (tests/modal_features/test_feature.py). Its slope jumps where the best assignment changes. It is no sum
+    (tests/modal/test_feature.py). Its slope jumps where the best assignment changes. It is no sum
     over assignments: where modes are closer than the data can tell apart, it counts the better of two
     explanations, not the mean of both. A poor match is a match: ask `match_modes`.
 

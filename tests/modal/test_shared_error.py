@@ -11,8 +11,8 @@ from scipy.special import gammaln
 
 from pymc_features import ModalDamping, ModalFeature, SpringMassChain, mac, match_modes, modes
 from pymc_features.exceptions import ModalMatchWarning
-from pymc_features.modal_features.feature import checked_parameters
-from pymc_features.modal_features.identified import LEAST, identified
+from pymc_features.modal.feature import checked_parameters
+from pymc_features.modal.identified import LEAST, identified
 from support.graphs import LIGHT, PLAIN
 
 LABELS = ["a", "b", "a", "a", "b", "c"]

@@ -15,9 +15,9 @@ from scipy import optimize, stats
 
 from pymc_features import AffineStructure, ModalDamping, ModalFeature, SpringMassChain, mac, modes, sample
 from pymc_features.exceptions import ModalMatchWarning
-from pymc_features.modal_features.feature import checked_parameters
-from pymc_features.modal_features.identified import identified
-from pymc_features.modal_features.matching import Assignment
+from pymc_features.modal.feature import checked_parameters
+from pymc_features.modal.identified import identified
+from pymc_features.modal.matching import Assignment
 from support.graphs import LIGHT, PLAIN, REWRITTEN
 
 UNDAMPED = ModalDamping(0.0)

@@ -5,7 +5,6 @@ The random variable behind `ModalFeature` has, for each identified mode, the fre
 
 import numpy as np
 import pytensor.tensor as pt
-from numpy.typing import ArrayLike
 from pymc.distributions.dist_math import check_parameters
 from pymc.distributions.distribution import SymbolicRandomVariable
 from pymc.distributions.shape_utils import maybe_resize, rv_size_is_none
@@ -17,54 +16,10 @@ from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor import TensorVariable
 from pytensor.tensor.random.utils import normalize_size_param
 
-from pymc_features._checks import as_numbers
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.simulators.modal.assignment import assignments
 
 UNMATCHED = -1e30  # stands for a log-density of -inf in sums of which the largest is sought
-
-
-def mac(shapes: ArrayLike, others: ArrayLike) -> np.ndarray:
-    r"""Modal assurance criterion of each pair of shapes.
-
-    .. math:: \mathrm{MAC} = \frac{|\phi^H \hat\phi|^2}{(\phi^H \phi)(\hat\phi^H \hat\phi)}
-
-    One where the shapes are the same up to a factor, real or complex; zero where they are orthogonal. With
-    the best factor a, ``1 - MAC = ||a phi - phi^||^2 / ||phi^||^2``.
-
-    Parameters
-    ----------
-    shapes, others : array_like (m, s), (i, s)
-        One shape in each row; entries that are NaN in either are left out of the pair.
-
-    Returns
-    -------
-    array (m, i)
-        NaN where a pair has no entry in common.
-
-    References
-    ----------
-    R. J. Allemang & D. L. Brown, Proc. 1st Int. Modal Analysis Conf. (1982) 110-116.
-
-    Examples
-    --------
-    >>> mac([[1.0, 2.0], [2.0, -1.0]], [[-2.0, -4.0]])
-    array([[1.],
-           [0.]])
-    """
-    shapes = as_numbers(shapes, "shapes", "Give one shape in each row.", allow_complex=True)
-    others = as_numbers(others, "others", "Give one shape in each row.", allow_complex=True)
-    if shapes.ndim != 2 or others.ndim != 2 or shapes.shape[1] != others.shape[1]:
-        raise ValueError(
-            f"`shapes` and `others` must have rows of equal length, got shapes {shapes.shape} and "
-            f"{others.shape}. Give one shape in each row, at the same channels."
-        )
-    one, two = ~np.isnan(shapes), ~np.isnan(others)
-    a, b = np.where(one, shapes, 0.0), np.where(two, others, 0.0)
-    products = abs(a.conj() @ b.T) ** 2
-    norms = (abs(a) ** 2 @ two.T) * (one @ (abs(b) ** 2).T)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(norms > 0.0, products / norms, np.nan)
 
 
 def one_minus_mac(shapes, parts, known):

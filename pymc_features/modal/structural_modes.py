@@ -264,7 +264,7 @@ def modes(
     MAC do not notice.
 
     Differentiable once, exactly: to 1e-8 where two frequencies differ by 1e-6 of them
-    (tests/modal_features/test_modes.py). Where two are equal, what depends on their sum and on the plane of
+    (tests/modal/test_modes.py). Where two are equal, what depends on their sum and on the plane of
     their shapes has an exact gradient; single frequencies and shapes have none there, whatever is returned.
     Where `n_modes` cuts a pair of equal frequencies, keep both.
 

@@ -16,7 +16,7 @@ from pymc_features import (
     SpringMassChain,
     modes,
 )
-from pymc_features.modal_features.structural_modes import ModesGradient, StructuralModes
+from pymc_features.modal.structural_modes import ModesGradient, StructuralModes
 from pymc_features.structures import STRUCTURES
 from support.families import CASES, TRUTH
 from support.graphs import PLAIN, REWRITTEN
