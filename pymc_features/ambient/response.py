@@ -41,9 +41,9 @@ from pymc_features.ambient.bands import (
 from pymc_features.ambient.operations import ModalFactor, ModalFactorGradient, SpectralGradient, SpectralLogp
 from pymc_features.exceptions import AmbientWarning
 from pymc_features.modal import modes
+from pymc_features.modal.structural_modes import picked_outputs
 from pymc_features.ops import as_tensor, by_labels, known_dims
 from pymc_features.ops.numba_dispatch import run_in_python
-from pymc_features.simulators.request import check_outputs, check_sensors, picked_by_name
 from pymc_features.structures import Structure
 
 MEASURED = {"acceleration": 0, "velocity": 1, "displacement": 2}  # how often the acceleration is integrated
@@ -123,26 +123,17 @@ def spectral_response(
     density = spectral(excitation, "excitation")
     if isinstance(forces, str) and check_choice(forces, "forces", ("dofs", "modes")) == "modes":
         found = modes(structure, n_modes, sensors=sensors, outputs=outputs)
-        patterns = pt.eye(found.frequencies.type.shape[0])
-        return SpectralResponse(*at_sensors(found, found.shapes), patterns, density, quantity)
-    found = modes(structure, n_modes)
-    n = structure.n_dof
-    patterns = found.shapes if isinstance(forces, str) else pt.dot(found.shapes, checked_patterns(forces, n))
-    if outputs is not None:
-        if sensors is not None:
-            raise ValueError("`sensors` must be left out with `outputs`, got both. Choose rows of `outputs`.")
-        shapes = pt.dot(found.shapes, check_outputs(outputs, n).T)
+        shapes, patterns = found.shapes, pt.eye(found.frequencies.type.shape[0])
     else:
-        picked, combined, _ = picked_by_name(structure, sensors)
-        shapes = found.shapes[:, check_sensors(picked, n)]
+        found = modes(structure, n_modes)
+        patterns = found.shapes
+        if not isinstance(forces, str):
+            patterns = pt.dot(patterns, checked_patterns(forces, structure.n_dof))
+        picked, combined = picked_outputs(structure, sensors, outputs)
+        shapes = found.shapes[:, picked]
         if combined is not None:
-            shapes = pt.dot(found.shapes, combined.T)
-    return SpectralResponse(*at_sensors(found, shapes), patterns, density, quantity)
-
-
-def at_sensors(found, shapes):
-    """The first three attributes of `SpectralResponse`."""
-    return found.frequencies, found.damping_ratios, shapes
+            shapes = pt.dot(shapes, combined.T)
+    return SpectralResponse(found.frequencies, found.damping_ratios, shapes, patterns, density, quantity)
 
 
 def checked_patterns(forces, n: int) -> np.ndarray:

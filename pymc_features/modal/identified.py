@@ -7,6 +7,7 @@ import numpy as np
 
 from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown, warn_caller
 from pymc_features.exceptions import ModalMatchWarning
+from pymc_features.modal.data import ModalData
 from pymc_features.ops import by_labels
 
 FIELDS = ("frequencies", "shapes", "frequency_sd")
@@ -44,11 +45,6 @@ class Identified(NamedTuple):
         if self.is_complex:
             names = [f"{part} {name}" for part in ("real", "imaginary") for name in names]
         return ["frequency", *names]
-
-    @property
-    def of(self) -> list[str]:
-        """Names of the identifications."""
-        return identification_names(self.labels, self.groups.argmax(axis=0))
 
     @property
     def by_label(self) -> np.ndarray:
@@ -97,15 +93,7 @@ def identified(observed, labels=None) -> Identified:
         labels = getattr(observed, "labels", None) if labels is None else labels
     else:
         frequencies, shapes, sd = observed, None, None
-    frequencies = _real(frequencies, "frequencies")
-    if (
-        frequencies.ndim != 1
-        or not frequencies.size
-        or not ((frequencies > 0) & (frequencies < np.inf)).all()
-    ):
-        raise ValueError(
-            message("frequencies", "a list of positive numbers", np.array2string(frequencies), "Pass Hz.")
-        )
+    frequencies = ModalData(frequencies).frequencies
     shapes, known = _shapes(by_labels(shapes, axes=("mode", "sensor")), frequencies.size)
     sd = _sd(sd, frequencies) / frequencies
     if labels is None:
@@ -125,25 +113,13 @@ def identification_names(labels, owner) -> list[str]:
     ]
 
 
-def _real(value, name):
-    return as_numbers(value, name, what="an array of real numbers")
-
-
 def _sd(sd, frequencies):
     """Standard deviations [Hz]; a missing one is zero, as one that was not identified."""
-    if sd is None:
-        return np.zeros(frequencies.size)
-    sd = _real(sd, "frequency_sd")
+    sd = np.zeros(frequencies.size) if sd is None else as_numbers(sd, "frequency_sd")
     sd = np.where(np.isnan(sd), 0.0, sd)
     if sd.shape != frequencies.shape or not ((sd >= 0) & (sd < np.inf)).all():
-        raise ValueError(
-            message(
-                "frequency_sd",
-                f"{frequencies.size} numbers that are not negative",
-                np.array2string(sd),
-                "Pass Hz, NaN where there is none.",
-            )
-        )
+        what = f"{frequencies.size} numbers that are not negative"
+        raise ValueError(message("frequency_sd", what, shown(sd), "Pass Hz, NaN where there is none."))
     return sd
 
 
@@ -153,14 +129,9 @@ def _shapes(shapes, n):
         return np.zeros((n, 0)), np.zeros((n, 0))
     shapes = as_numbers(shapes, "shapes", allow_complex=True)
     if shapes.ndim != 2 or shapes.shape[0] != n:
-        raise ValueError(
-            message(
-                "shapes",
-                f"({n}, channels) to match `frequencies`",
-                shapes.shape,
-                "Give one row for each mode, NaN where a channel is missing; transpose modes in columns.",
-            )
-        )
+        what = f"({n}, channels) to match `frequencies`"
+        advice = "Give one row for each mode, NaN where a channel is missing; transpose modes in columns."
+        raise ValueError(message("shapes", what, shapes.shape, advice))
     if np.isinf(shapes).any():
         raise ValueError(message("shapes", "finite", "infinity", "Pass NaN where a channel is missing."))
     known = ~np.isnan(shapes)
@@ -168,11 +139,8 @@ def _shapes(shapes, n):
     shapes = np.where(known, shapes, 0.0)
     zero = known.any(axis=1) & ~shapes.any(axis=1)
     if zero.any():
-        raise ValueError(
-            message(
-                "shapes", "not zero", f"zeros in row {zero.argmax()}", "Pass NaN where a shape is missing."
-            )
-        )
+        got = f"zeros in row {zero.argmax()}"
+        raise ValueError(message("shapes", "not zero", got, "Pass NaN where a shape is missing."))
     kind = np.complex128 if np.iscomplexobj(shapes) else np.float64
     return shapes.astype(kind), known.astype(np.float64)
 

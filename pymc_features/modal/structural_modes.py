@@ -286,7 +286,7 @@ def modes(
         )
     if not FAMILIES[structure.family].modal:
         structure.modes()  # which says why there are none
-    n, most = structure.n_dof, structure.n_modes
+    most = structure.n_modes
     if n_modes is None:
         n_modes = most
     n_modes = check_integer(n_modes, "n_modes", most=most, advice="Leave it out for all.")
@@ -298,17 +298,25 @@ def modes(
             f"`n_modes` must not exceed the {given} damping ratios of the structure, got {n_modes}. Give a "
             "ratio for each mode, or one for all."
         )
-    combined = None
-    if outputs is not None:
-        if sensors is not None:
-            raise ValueError("`sensors` must be left out with `outputs`, got both. Choose rows of `outputs`.")
-        combined = check_outputs(outputs, n)
-    else:
-        sensors, combined, _ = picked_by_name(structure, sensors)
-    picked = check_sensors(sensors, n) if combined is None else np.flatnonzero(combined.any(axis=0))
+    picked, combined = picked_outputs(structure, sensors, outputs)
     constants = zip(op.spec.constants, structure.constants(AT_REST), strict=True)
     shared = [as_data(array, name) for name, array in constants]
     found = SymbolicModes(*op(*parameters.values(), *shared, picked, n_modes))
     if combined is None:
         return found
-    return found._replace(shapes=pt.dot(found.shapes, combined[:, picked].T))
+    return found._replace(shapes=pt.dot(found.shapes, combined.T))
+
+
+def picked_outputs(structure: Structure, sensors, outputs) -> tuple[np.ndarray, np.ndarray | None]:
+    """Degrees of freedom (p,) of which an output is made, and S (s, p) if that is more than a choice."""
+    combined = None
+    if outputs is None:
+        sensors, combined, _ = picked_by_name(structure, sensors)
+    elif sensors is not None:
+        raise ValueError("`sensors` must be left out with `outputs`, got both. Choose rows of `outputs`.")
+    else:
+        combined = check_outputs(outputs, structure.n_dof)
+    if combined is None:
+        return check_sensors(sensors, structure.n_dof), None
+    picked = np.flatnonzero(combined.any(axis=0))
+    return picked, combined[:, picked]

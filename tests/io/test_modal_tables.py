@@ -389,7 +389,10 @@ def test_results_without_standard_deviations():
 OMA = {
     "`source` must have picked modes, got SSIResult without frequencies or shapes. Call": (SSIResult(), {}),
     "`source` must be one result, got Algorithm with 'FDD'": (Algorithm({"FDD": oma(), "SSI": oma()}), {}),
-    r"`source` must have Phi of shape \(channel, mode\) for 3 modes, got \(3": (oma(Phi=COMPLEX[:, :2]), {}),
+    "SSIResult: shapes must have a row for each channel and a column for each of the 3 modes, got shape": (
+        oma(Phi=COMPLEX[:, :2]),
+        {},
+    ),
     "`names` must be left out, got frequency: a result of pyOMA2": (oma(), {"names": {"frequency": "f"}}),
     "SSIResult: `channels` must name all 3 channels": (oma(), {"channels": ["roof"]}),
     "SSIResult: `frequencies` must be finite, got nan at index 2": (oma(Fn=np.array([1.0, 2.0, np.nan])), {}),

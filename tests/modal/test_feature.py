@@ -394,8 +394,8 @@ def test_refusals():
             ValueError,
             "`modes` must have at least as many modes as were identified, 3",
         ),
-        (dict(observed=[1.0, np.nan]), ValueError, "`frequencies` must be a list of positive numbers"),
-        (dict(observed=["a"]), TypeError, "`frequencies` must be an array of real numbers"),
+        (dict(observed=[1.0, np.nan]), ValueError, "`frequencies` must be finite, got nan at index 1"),
+        (dict(observed=["a"]), TypeError, "`frequencies` must be an array of numbers"),
         (dict(observed=TWO | {"frequency_sd": [1.0]}), ValueError, "`frequency_sd` must be 2 numbers"),
         (dict(observed=TWO | {"shapes": [[1.0, 2.0]]}), ValueError, r"`shapes` must be \(2, channels\)"),
         (

@@ -9,29 +9,19 @@ from pymc_features._checks import message, shown
 from pymc_features.io.reading.labels import BRACKETS, without_brackets
 from pymc_features.modal.data import COLLINEAR, ModalData, find_channels, listed, warn_modes
 
-#: Words that a label begins with -> quantity.
-WORDS = {
-    ("damping", "ratios"): "damping",
-    ("damping", "ratio"): "damping",
-    ("mode", "shapes"): "shapes",
-    ("mode", "number"): "mode",
-    ("shapes", "imaginary"): "shapes_imaginary",
-    ("frequencies",): "frequency",
-    ("frequency",): "frequency",
-    ("freq",): "frequency",
-    ("f",): "frequency",
-    ("fn",): "frequency",
-    ("zeta",): "damping",
-    ("xi",): "damping",
-    ("omega",): "omega",
-    ("eigenvalues",): "eigenvalue",
-    ("eigenvalue",): "eigenvalue",
-    ("damping",): "damping",
-    ("shapes",): "shapes",
-    ("shape",): "shapes",
-    ("channels",): "channels",
-    ("mode",): "mode",
+_LABELS = {
+    "damping": ("damping ratios", "damping ratio", "damping", "zeta", "xi"),
+    "shapes_imaginary": ("shapes imaginary",),
+    "shapes": ("mode shapes", "shapes", "shape"),
+    "mode": ("mode number", "mode"),
+    "frequency": ("frequencies", "frequency", "freq", "f", "fn"),
+    "omega": ("omega",),
+    "eigenvalue": ("eigenvalues", "eigenvalue"),
+    "channels": ("channels",),
 }
+#: Words that a label begins with -> quantity, several words before one.
+WORDS = {tuple(label.split()): name for name, labels in _LABELS.items() for label in labels}
+WORDS = dict(sorted(WORDS.items(), key=lambda item: -len(item[0])))
 #: Unit of a label, without blanks -> what the quantity is in this unit.
 UNITS = {
     "frequency": {"": "frequency", "hz": "frequency", "rad/s": "omega"},

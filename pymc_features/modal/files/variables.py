@@ -151,7 +151,14 @@ def _names(value, source: str) -> list[str] | None:
 
 # --- results of pyOMA2 -------------------------------------------------------------------------------
 
-OF_OMA = {"frequency_sd": "Fn_std", "damping": "Xi", "damping_sd": "Xi_std"}
+OF_OMA = {
+    "frequency": "Fn",
+    "frequency_sd": "Fn_std",
+    "damping": "Xi",
+    "damping_sd": "Xi_std",
+    "shapes": "Phi",
+    "shape_sd": "Phi_std",
+}
 
 
 def is_oma(source) -> bool:
@@ -183,29 +190,5 @@ def read_oma(source) -> Identified:
             f"`source` must have picked modes, got {name} without frequencies or shapes. Call `mpe` of its "
             "set-up first."
         )
-    frequencies = np.atleast_1d(np.asarray(result.Fn, dtype=np.float64))
-    count = frequencies.size
-    given = {ours: getattr(result, theirs, None) for ours, theirs in OF_OMA.items()}
-    return Identified(
-        name,
-        frequencies,
-        shapes=_turned(result.Phi, "Phi", count, name),
-        shape_sd=_turned(getattr(result, "Phi_std", None), "Phi_std", count, name),
-        **{
-            ours: None if value is None else np.asarray(value, dtype=np.float64)
-            for ours, value in given.items()
-        },
-    )
-
-
-def _turned(values, attribute: str, count: int, name: str) -> np.ndarray | None:
-    """Entries (mode, channel) of a matrix (channel, mode)."""
-    if values is None:
-        return None
-    array = np.asarray(values)
-    if array.ndim != 2 or array.shape[1] != count:
-        raise ValueError(
-            f"`source` must have {attribute} of shape (channel, mode) for {count} modes, got {array.shape} "
-            f"of {name}. Pick the modes again."
-        )
-    return array.T
+    found = {ours: getattr(result, theirs, None) for ours, theirs in OF_OMA.items()}
+    return from_variables({ours: values for ours, values in found.items() if values is not None}, name, {})
