@@ -62,7 +62,7 @@ def frequencies_of(structure, parameters, constants, n_modes: int) -> np.ndarray
 
 
 def refined_request(structure, record, asked: Request) -> Request:
-    """The same request with the refinement that the modes of a structure of numbers need."""
+    """A request with the refinement that the modes of a structure of numbers need."""
     if structure.family == "linear" and record.interpolation != "linear":
         try:
             frequencies = structure.modes(asked.n_modes).natural_frequencies[None]
@@ -76,7 +76,7 @@ def refined_request(structure, record, asked: Request) -> Request:
 
 
 def request_of_family(structure, parameters, record, asked: Request) -> Request:
-    """The same request with the refinement that structures of parameters (structure, ...) need.
+    """A request with the refinement that structures of parameters (structure, ...) need.
 
     Yielding chains that no step is small enough for are refused.
     """

@@ -143,7 +143,7 @@ def jit(function):
 
 
 def unrolled(function):
-    """As `jit`, for a part that goes into its callers: loops are written out for known arguments."""
+    """Compile a part that goes into its callers: loops are written out for known arguments."""
     options = {"nopython": True, "fastmath": FASTMATH, "error_model": "numpy", "forceinline": True}
     return Kernel(function, targetoptions=options)
 

@@ -72,7 +72,7 @@ def store(typingctx, array, row, value):
 
 @intrinsic
 def splat(typingctx, number):
-    """The same number in every lane."""
+    """Vector of one number in every lane."""
 
     def codegen(context, builder, signature, args):
         one = builder.insert_element(

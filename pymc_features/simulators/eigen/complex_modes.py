@@ -147,7 +147,7 @@ class ModePlaces(NamedTuple):
 
 @jit
 def mode_places(modes):
-    """Where the arrays are, see `compiled.vector_memory.aligned`."""
+    """Addresses of the arrays, see `compiled.vector_memory.aligned`."""
     return ModePlaces(
         modes.omega.shape[0],
         modes.damping.ctypes.data,

@@ -131,7 +131,7 @@ def divide_columns(factor, n, is_diagonal, vectors):
 
 @jit
 def divide_transposed(factor, n, is_diagonal, vectors):
-    """As `divide_columns`, by F^-T."""
+    """Multiply columns by F^-T, as `divide_columns` does by F^-1."""
     width = vectors.shape[0] // n
     for i in range(n - 1, -1, -1):
         inverse = splat(1.0) / load(factor, i * n + i)
@@ -258,7 +258,7 @@ def is_never_negative(stack, n):
 
 @jit
 def filled_places(stack, n):
-    """Where matrices of a stack (terms, n n) are not zero: row after row of column j from `starts[j]` on.
+    """Places of non-zeros of a stack (terms, n n): row after row of column j from `starts[j]` on.
 
     Returns
     -------
@@ -277,7 +277,7 @@ def filled_places(stack, n):
 
 @jit
 def multiply_sparse(left, right, places, sizes, out):
-    """As `multiply_lanes`, of a right matrix (inner m, LANES) that is zero but at `filled_places`."""
+    """Product with a right matrix (inner m, LANES) that is zero but at `filled_places`."""
     (x, x_down, x_along), (starts, rows), (n, m) = left, places, sizes
     for r in range(0, n, 4):  # what stands behind the last row repeats it
         r1, r2, r3 = min(r + 1, n - 1), min(r + 2, n - 1), min(r + 3, n - 1)
@@ -321,7 +321,7 @@ def multiply_rows(at, s, live):
 
 @jit
 def multiply_two_rows(at, s, live):
-    """As `multiply_rows`, of entries s and s + 1, for what is left behind the last four."""
+    """Entries s and s + 1 of `multiply_rows`, for what is left behind the last four."""
     m, x = at.m, at.vectors
     s1 = min(s + 1, m - 1)
     a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = splat(0.0)

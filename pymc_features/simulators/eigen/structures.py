@@ -263,7 +263,7 @@ def write_four(address, places, vectors):
 
 @jit
 def reflect_rows(matrix, betas, vectors):
-    """As `reflect_back`, of n vectors, each a row of `vectors` (n n, LANES), four at a time.
+    """Reflect n vectors back, each a row of `vectors` (n n, LANES), four at a time.
 
     Reflections k and k - 1 go through memory together; what would follow the last one is none.
     """

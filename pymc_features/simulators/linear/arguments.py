@@ -83,7 +83,7 @@ class LinearParameters(NamedTuple):
         return LinearParameters(*(array[None] for array in self.random), *self[N_PARAMETERS:])
 
     def for_kernel(self) -> "LinearParameters":
-        """The same in arrays that compiled code takes."""
+        """These matrices in arrays that compiled code takes."""
         whole = np.int64
         pattern = {name: writable(getattr(self, name), whole) for name in ("rows", "starts")}
         return LinearParameters(*map(writable, self))._replace(**pattern)

@@ -21,7 +21,7 @@ SMALL = 1e-12  # a pivot below this share of the entries it is left of says noth
 
 
 class Pattern(NamedTuple):
-    """Where a symmetric matrix and its factor L have entries, in the order of elimination.
+    """Places of the entries of a symmetric matrix and its factor L, in the order of elimination.
 
     Attributes
     ----------

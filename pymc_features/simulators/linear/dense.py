@@ -48,7 +48,7 @@ def factorise(matrix, factor, floor):
 
 @jit
 def factorise_semidefinite(matrix, factor, independent):
-    """As `factorise`, and whether a row (n,) depends on those before it; its column is then zero.
+    """Factorise M, and tell whether a row (n,) depends on those before it; its column is then zero.
 
     False if the matrix has a negative eigenvalue.
     """
@@ -311,7 +311,7 @@ def lowest_shapes(mass, stiffness, diagonal, factor, reduced, shapes):
 
 @jit
 def condensed_shapes(mass, stiffness, shapes):
-    """As `lowest_shapes`, of an M that is singular; number of modes found, or 0.
+    """Lowest modes as in `lowest_shapes`, of an M that is singular; number of modes found, or 0.
 
     The rows behind them are motions without mass, phi' K phi = 1.
     """

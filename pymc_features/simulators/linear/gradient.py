@@ -137,7 +137,7 @@ def gradient(a, history, weights):
 
 
 def gradient_of(a, system, history, weights):
-    """The same, of a structure whose modes are known; None for no structure."""
+    """Gradient of a structure whose modes are known; None for no structure."""
     if system is None:
         return tuple(np.full(array.shape, np.nan) for array in a.parameters.random)
     route = oscillators if a.parameters.is_classical else state_space

@@ -230,7 +230,7 @@ class Known:
         self.searches = {False: Search(), True: Search()}
 
     def fits(self, given, n_modes) -> bool:
-        """Whether it is about these structures."""
+        """Whether this was found of these structures."""
         pairs = [(getattr(self.given, name), getattr(given, name)) for name in ARRAYS]
         return self.n_modes == n_modes and all(np.array_equal(x, y) for x, y in pairs)
 

@@ -70,7 +70,7 @@ def linear_systems(parameters, excitation, wanted, observed) -> Systems | None:
 
 
 def linear_gradient_systems(parameters, excitation, wanted, observed) -> Systems | None:
-    """As `linear_systems`, where `linear_gradient_of_sums` goes on from there; None elsewhere."""
+    """Modes from which `linear_gradient_of_sums` goes on; None where it cannot."""
     one_input = excitation.acceleration.shape[0] == 1
     if not (parameters.is_dense and parameters.is_classical and one_input):
         return None

@@ -134,7 +134,7 @@ def stored_products(parameters, left, right):
 
 @jit
 def sparse_products(left, right, rows, starts):
-    """As `stored_products`, for a pattern."""
+    """Entries (e,) of left right' at the places of a sparse pattern; two arrays (n, k)."""
     entries = np.empty(rows.size)
     for column in range(starts.size - 1):
         for e in range(starts[column], starts[column + 1]):

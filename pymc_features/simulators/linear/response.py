@@ -30,7 +30,7 @@ def linear_response(parameters, excitation, wanted) -> np.ndarray:
 
 
 def response_in_modes(omega, shapes, parameters, excitation, wanted) -> np.ndarray:
-    """As `linear_response`, of an admissible structure whose modes are known: omega (m,), shapes (n, m)."""
+    """Response of an admissible structure whose modes are known: omega (m,), shapes (n, m)."""
     a = Arguments(parameters, excitation, wanted)
     a.check()
     return evaluate(a, solve_system(a, known=(omega, shapes)), None)

@@ -76,7 +76,7 @@ class Asked:
         return tuple(x[None] for x in found) if self.is_alone else tuple(found)
 
     def by_table(self, table) -> tuple | None:
-        """The same from a table, and whether it is sure (p,); None where there are no modes, or no table."""
+        """Misfits from a table, and whether each is sure (p,); None where there are no modes, or no table."""
         (parameters, excitation, wanted), is_value = self.arguments, self.weights is None
         kernel = self.family.kernels["population_systems" if is_value else "gradient_systems"]
         systems = kernel(parameters, excitation, wanted, self.observed)

@@ -469,14 +469,14 @@ def evaluate(state, systems, mesh, weights, quantity, reach, result):
 
 @jit
 def evaluate_values(systems, mesh, weights, quantity, reach, result):
-    """As `evaluate`, without derivatives."""
+    """Evaluate without derivatives."""
     like = in_lanes(0.0)
     evaluate(new_complex(like, like), systems, mesh, weights, quantity, reach, result)
 
 
 @jit
 def evaluate_slopes(systems, mesh, weights, quantity, reach, result):
-    """As `evaluate`, with derivatives by s and d."""
+    """Evaluate with derivatives by s and d."""
     like = in_lanes(0.0)
     part = new_dual(like, like, like)
     evaluate(new_complex(part, part), systems, mesh, weights, quantity, reach, result)

@@ -78,7 +78,7 @@ class Problem:
 
     @cached_property
     def memory(self) -> np.ndarray:
-        """Where Runge-Kutta steps are taken: kept as long as the address below is used."""
+        """Memory in which Runge-Kutta steps are taken: kept as long as the address below is used."""
         return chain_memory(self.n)
 
     @property

@@ -168,13 +168,13 @@ def chain_memory(n: int) -> np.ndarray:
 
 @jit
 def state(law, s):
-    """Where the state of stage `s` begins, in vectors."""
+    """First vector of the state of stage `s`."""
     return (STATES + 3 * s) * law.rows
 
 
 @jit
 def slope(law, s):
-    """Where the slope of stage `s` begins, in vectors."""
+    """First vector of the slope of stage `s`."""
     return (SLOPES + 3 * s) * law.rows
 
 

@@ -60,7 +60,7 @@ def next_sample(law, excitation, sample):
 
 @jit
 def output_block(law, quantity):
-    """Where a quantity, relative to the ground, begins in the present state or its slope, in numbers."""
+    """First number of a quantity, relative to the ground, in the present state or its slope."""
     if quantity == RELATIVE_DISPLACEMENT:
         return state(law, 0) * LANES
     if quantity == RELATIVE_VELOCITY:

@@ -32,7 +32,7 @@ class Register:
         self.width, self.builder, self.value = width, builder, value
 
     def wide(self, width):
-        """The same number in more lanes."""
+        """Number of this kind in more lanes."""
         if self.builder is None or width == self.width:
             return Register(width, self.builder, self.value)
         nothing = ir.Constant(vector(width), ir.Undefined)
@@ -138,7 +138,7 @@ def narrowed(x, like):
 
 
 def transposed(registers):
-    """As many registers as they have lanes, rows and columns exchanged."""
+    """Rows and columns exchanged, of as many registers as they have lanes."""
     width = half = registers[0].width
     registers = list(registers)
     while half > 1:

@@ -70,7 +70,7 @@ def moved(typingctx, rows, count):
 
 @intrinsic
 def side_by_side(typingctx, rows):
-    """The same numbers in memory, as many in one as go together."""
+    """Numbers in memory, as many in one as go together."""
     return RowsType(together(rows.number))(rows), lambda context, builder, signature, args: args[0]
 
 

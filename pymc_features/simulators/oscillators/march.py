@@ -184,7 +184,7 @@ def turn_outputs(modes, count, base, share):
 
 @jit
 def place_of(modes, r, k):
-    """Where the output of mode r at row k of samples is in `turned`."""
+    """Place in `turned` of the output of mode r at row k of samples."""
     step = abreast(modes.turned)
     return (r // step * BLOCK + k) * step + r % step
 

@@ -139,7 +139,7 @@ def put(outputs, is_first, rows, q, p):
 
 @jit
 def advance_one(at, n_vectors, width, steps):
-    """As `advance`, of the first vector of modes; `at` are addresses, `width` the number of modes."""
+    """Advance the first vector of modes; `at` are addresses, `width` the number of modes."""
     (table, states, ground, outputs), (stride, count, is_first) = at, steps
     rows = coefficients(table, n_vectors, 0)
     q, p = read_lanes(states, 0), read_lanes(states, n_vectors)
@@ -154,7 +154,7 @@ def advance_one(at, n_vectors, width, steps):
 
 @jit
 def advance_two(at, n_vectors, k, width, steps):
-    """As `advance_one`, of vectors k and k + 1."""
+    """Advance vectors k and k + 1 of modes together."""
     (table, states, ground, outputs), (stride, count, is_first) = at, steps
     rows_a, rows_b = coefficients(table, n_vectors, k), coefficients(table, n_vectors, k + 1)
     qa, pa = read_lanes(states, k), read_lanes(states, n_vectors + k)

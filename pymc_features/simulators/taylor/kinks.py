@@ -98,7 +98,7 @@ def polynomials_of(order):
 
     @jit
     def dip(address, first, sign):
-        """Where sign times a polynomial that first falls is lowest in (0, 1), and the polynomial there."""
+        """Lowest place in (0, 1) of sign times a polynomial that first falls, and the polynomial there."""
         zero, one, x = splat(0.0), splat(1.0), splat(0.5)
         for _ in range(3):
             slope, bend = float(order) * read_lanes(address, first + order), zero

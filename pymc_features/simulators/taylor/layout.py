@@ -1,4 +1,4 @@
-"""Where the chains of a group, one in each lane, lie in memory.
+"""Layout in memory of the chains of a group, one in each lane.
 
 Every spring, with the mass above it, has a record of vectors: the coefficients of the mass's velocity H v,
 the series of the spring (`series.py`), the entries below, and the constants of the law. Record 0 is the base,
@@ -67,7 +67,7 @@ def layout_of(series) -> Layout:
 
 
 def load_of(series) -> int:
-    """Where the load of a chain begins, behind its last record."""
+    """First vector of the load of a chain, behind its last record."""
     return N_CHAIN_ENTRIES + N_LEFT * series.order
 
 

@@ -178,7 +178,7 @@ def excess_of(spring, first, expected):
 
 @jit
 def good_end(spring, first, expected):
-    """Where to end the first piece of a range."""
+    """Place where to end the first piece of a range."""
     size, end = expected.size, expected.end
     near_end, narrowness = constant_of(spring, first + NEAR_END), constant_of(spring, first + NARROWNESS)
     r = square_root(1.0 / (narrowness * (2.0 * magnitude(size)) + 1e-300))

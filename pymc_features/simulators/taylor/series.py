@@ -35,7 +35,7 @@ class Group(NamedTuple):
 
 
 class Spring(NamedTuple):
-    """Where the series of a spring lie, and its constants behind them, in vectors."""
+    """Addresses of the series of a spring, and of its constants behind them, in vectors."""
 
     address: int
     first: int

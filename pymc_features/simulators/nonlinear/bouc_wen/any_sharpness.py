@@ -59,7 +59,7 @@ LOSS, SIGN, POWER_OF_Z = range(POWER, POWER + 3)  # constants; the last of them 
 
 
 def constants_any(stiffness, values):
-    """Those of `constants`, those of a branch, and those of the power."""
+    """Constants of the law, of a branch, and of the power."""
     *usual, sharpness = constants(stiffness, values)
     return [*usual, 0.0 * sharpness, 0.0 * sharpness, *power_constants(sharpness)]
 
@@ -131,7 +131,7 @@ SLOPES, TILTS, FORCES = range(LOSSES_BAR + 1, LOSSES_BAR + 4)  # series of bars,
 
 
 def constants_with_bars(stiffness, values):
-    """Those of `constants_any` that a gradient has bars of, as far as the last of them."""
+    """Constants that a gradient has bars of, from `constants_any` as far as the last of them."""
     *usual, sharpness = constants(stiffness, values)
     between = [0.0 * sharpness] * (FROM_ZERO - 1)
     return [*usual, 0.0 * sharpness, 0.0 * sharpness, sharpness, *between, *shapes_of(sharpness)]

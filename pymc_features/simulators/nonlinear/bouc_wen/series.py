@@ -58,7 +58,7 @@ loss_of, advance, tangents = jit(loss_of), jit(advance), jit(tangents)
 
 
 def constants_of_squares(stiffness, values):
-    """Those above, a and b of a branch, and d_y."""
+    """Constants of the law, a and b of a branch, and d_y."""
     usual = constants(stiffness, values)
     return [*usual, 0.0 * stiffness, 0.0 * stiffness, values[YIELD_DISPLACEMENT]]
 
