@@ -15,8 +15,7 @@ DIFFERENCE = 0.02  # standard errors of independent samples that derivatives are
 WIDEST, NARROWEST = 1e-3, 1e-7  # but no more and no less than this, in coordinates
 NARROW = 1e-5  # before standard errors are known
 STEPS = 100  # towards the maximum, at most
-CONVERGED, FAILED = 1e-3, 3e-3  # standard errors of independent samples that the last step, and one that
-# leads no higher, may be long
+CONVERGED = 1e-3  # standard errors of independent samples that the last step may be long
 SHORTER = 0.3  # than the step before must one be that is taken with the derivatives of another point
 NEAR = 0.1  # of such a standard error: derivatives there are those at the maximum
 LEAST = 0.1  # of the information that the curvature is taken to have where it is less, or negative
@@ -207,8 +206,6 @@ def climb_likelihood(predictions, z) -> Fit:
                 events = [e._replace(value=v, residuals=v.residuals) for e, v in pairs]
                 fit = fit._replace(w=w, height=height, events=events)
                 continue
-            if length < FAILED and central and moved < NEAR:
-                break
             if moved == 0.0:
                 damping = max(damping, 1e-6) * 10.0
                 continue
@@ -262,12 +259,7 @@ def newton(information, score, damping, room):
     scale = np.sqrt(np.diag(information))
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    known = values > SINGULAR * values.max(initial=0.0)
-    along = vectors.T @ (score / scale)
-    step = vectors @ np.where(known, along / np.where(known, values + damping, 1.0), 0.0) / scale
-    low, high = room
-    if ((step > low) & (step < high)).all():
-        return step
-    roots = np.sqrt(np.where(known, values + damping, 0.0))
-    target = np.where(known, along / np.where(known, roots, 1.0), 0.0)
-    return lsq_linear((vectors * roots).T, target, (low * scale, high * scale), method="bvls").x / scale
+    roots = np.sqrt(np.where(values > SINGULAR * values.max(initial=0.0), values + damping, 0.0))
+    target = vectors.T @ (score / scale) / np.where(roots > 0.0, roots, np.inf)
+    room = tuple(end * scale for end in room)
+    return lsq_linear((vectors * roots).T, target, room, method="bvls").x / scale
