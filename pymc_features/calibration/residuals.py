@@ -50,14 +50,10 @@ class Comparison(NamedTuple):
     def by_sensor(self) -> "Comparison":
         """Turn arrays into ones with one axis of sensors."""
         mu, observed, scale, claimed, decay, *known = self
-        *sensors, n = observed.shape
-        n_scale = n if np.shape(scale)[-1:] == (n,) else 1
-        mu, observed, scale = (
-            np.broadcast_to(x, (*sensors, k)).reshape(-1, k)
-            for x, k in ((mu, n), (observed, n), (scale, n_scale))
-        )
+        shape = *sensors, n = observed.shape
+        series = (np.broadcast_to(x, shape).reshape(-1, n) for x in (mu, observed, scale))
         numbers = (np.broadcast_to(x, sensors).ravel().astype(np.float64) for x in (claimed, decay))
-        return Comparison(mu, observed, scale, *numbers, *known)
+        return Comparison(*series, *numbers, *known)
 
     @property
     def gaps(self) -> np.ndarray:
@@ -68,7 +64,12 @@ class Comparison(NamedTuple):
         """Histories (sensor, time, ...) in units of the scale, zero in gaps, without a known correlation."""
         along = (..., *[None] * (x.ndim - 2))
         x, gaps = x / self.scale[along], self.gaps
-        return independent(np.where(gaps[along], 0.0, x) if gaps.any() else x, self.decay)
+        x = np.where(gaps[along], 0.0, x) if gaps.any() else x
+        if np.isinf(self.decay).all():
+            return x
+        decay = self.decay[:, None][along]
+        rest = (x[:, 1:] - np.exp(-decay) * x[:, :-1]) / np.sqrt(-np.expm1(-2.0 * decay))
+        return np.concatenate([x[:, :1], rest], axis=1)
 
     @property
     def residuals(self) -> np.ndarray:
@@ -79,15 +80,6 @@ class Comparison(NamedTuple):
     def log_scale(self) -> np.ndarray:
         """ln s (sensor,)."""
         return np.log(self.scale).mean(axis=-1)
-
-
-def independent(x, decay):
-    """Signals (sensor, time, ...) without the correlation exp(-decay |k - l|) of unit variance."""
-    if np.isinf(decay).all():
-        return x
-    shape = (len(x),) + (1,) * (x.ndim - 1)
-    phi, share = np.exp(-decay).reshape(shape), -np.expm1(-2.0 * decay).reshape(shape)
-    return np.concatenate([x[:, :1], (x[:, 1:] - phi * x[:, :-1]) / np.sqrt(share)], axis=1)
 
 
 def log_likelihood(values: list[Comparison]) -> float:
