@@ -11,6 +11,17 @@ def writable(array, dtype=np.float64) -> np.ndarray:
 
 
 @jit
+def copy_entries(source, target):
+    """Copy a vector into another one.
+
+    `target[:] = source` would do in NumPy; Numba then compiles the message about two shapes that differ, with
+    all its strings, which takes 3 to 5 s.
+    """
+    for i in range(target.size):
+        target[i] = source[i]
+
+
+@jit
 def ascending(values):
     """Positions of numbers in ascending order, by insertion: fast for numbers that are nearly in order."""
     order = np.arange(values.size)

@@ -10,7 +10,7 @@ Symmetric matrices in compiled code: Cholesky factors, and condensation as in `a
 import numpy as np
 
 from pymc_features.algebra import INDEFINITE, MASSLESS, NEGATIVE, ROUNDING, UNHELD, ZERO_STIFFNESS
-from pymc_features.simulators.compiled.arrays import ascending
+from pymc_features.simulators.compiled.arrays import ascending, copy_entries
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.modal_system import write_damping
 
@@ -148,7 +148,7 @@ def condense(mass, stiffness, independent):
 def assemble_dense(stack, theta, matrix):
     """Write A_0 + sum_i theta_i A_i (n, n); entries (1 + p, n n) or, of a constant, (1, n n)."""
     entries = matrix.reshape(-1)
-    entries[:] = stack[0]
+    copy_entries(stack[0], entries)
     for i in range(stack.shape[0] - 1):
         factor, term = theta[i], stack[1 + i]
         for e in range(entries.size):
@@ -199,7 +199,7 @@ def reduce_full(mass, stiffness, factor, reduced):
     half = np.empty((n, n))  # F^-1 K
     for i in range(n):
         row, multipliers = half[i], factor[i]
-        row[:] = stiffness[i]
+        copy_entries(stiffness[i], row)
         for k in range(i):
             other = half[k]
             for j in range(n):
@@ -285,7 +285,8 @@ def normalise(mass, stiffness, diagonal, omega, shapes):
         for i in range(n):
             shape[i] *= scale
     order = ascending(omega)
-    omega[:], shapes[:] = omega[order], shapes[order]
+    copy_entries(omega[order], omega)
+    copy_entries(shapes[order].reshape(-1), shapes.reshape(-1))
     return True
 
 

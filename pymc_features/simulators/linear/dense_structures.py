@@ -5,7 +5,7 @@ Gradients of dense structures with classical damping, as `linear.gradient` takes
 
 import numpy as np
 
-from pymc_features.simulators.compiled.arrays import positions
+from pymc_features.simulators.compiled.arrays import copy_entries, positions
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.eigen.coupled import all_columns
 from pymc_features.simulators.eigen.matrices import all_diagonal
@@ -140,7 +140,8 @@ def solve_lanes(lot, structures, parameters, wanted, columns, place, highest):
     (first, count, is_diagonal), n = place, wanted.sensors.shape[1]
     lots, with_shapes, order = lot.is_there.size, lot.at.shape[0] > 0, np.empty(n, dtype=np.int64)
     for lane in range(lots):
-        structures.theta[:, lane] = rows_of(parameters[:3], min(first + lane, count - 1))[0]
+        own = rows_of(parameters[:3], min(first + lane, count - 1))
+        copy_entries(own[0], structures.theta[:, lane])
     solve_structures(structures, (parameters.mass, parameters.stiffness), is_diagonal, columns)
     for lane in range(lots):
         own = rows_of(parameters[:3], min(first + lane, count - 1))
