@@ -12,6 +12,8 @@ from pymc_features._checks import as_array, as_list, as_numbers, check_mapping, 
 from pymc_features.modal.data import ModalData, mac, real_shape
 from pymc_features.plots.axes import AxesLike, checked_axes, figure, legend_outside
 
+type ShapesLike = ArrayLike | object  # shapes, or modes that have them
+
 CELL, LARGEST = 0.62, 11.0  # inches, of a cell of a matrix and of all
 DARK = 0.6  # MAC above which letters are white
 CLOSE = 0.005  # 5-95 % intervals that are narrower than this on both sides are not written
@@ -27,7 +29,7 @@ AMPLITUDE = 0.15  # of the largest entry, over the extent of the structure
 @figure("One", "array of one matplotlib Axes")
 def plot_mac(
     measured: ModalData,
-    shapes: ArrayLike,
+    shapes: ShapesLike,
     frequencies: ArrayLike | None = None,
     *,
     partners: ArrayLike | None = None,
@@ -42,9 +44,10 @@ def plot_mac(
     ----------
     measured : ModalData
         i identified modes at s channels; entries that are NaN are left out.
-    shapes : array_like (..., m, s)
+    shapes : array_like (..., m, s), or modes
         Of the model at the same channels, in rows; several dimensions in front are draws, such as (chain,
-        draw, m, s).
+        draw, m, s). Or modes with their frequencies: what `modes` returned, of a structure or inside a model
+        where it is of numbers, or a `ModalData`.
     frequencies : array_like (..., m), optional
         Of the model [Hz], for the labels.
     partners : array_like of int (i,), optional
@@ -96,7 +99,7 @@ def cell_text(low: float, middle: float, high: float) -> str:
 @figure("One for each identified mode")
 def plot_mode_shapes(
     measured: ModalData,
-    shapes: ArrayLike,
+    shapes: ShapesLike,
     frequencies: ArrayLike | None = None,
     *,
     sensors: ArrayLike | None = None,
@@ -114,9 +117,9 @@ def plot_mode_shapes(
     measured : ModalData
         i identified modes at s channels. Entries that are NaN are not drawn; of complex shapes the real part
         is, turned as `ModalData.real` does.
-    shapes : array_like (..., m, p)
+    shapes : array_like (..., m, p), or modes
         Of the model at all points that are to be drawn, in rows; several dimensions in front are draws, such
-        as (chain, draw, m, p).
+        as (chain, draw, m, p). Or modes as `plot_mac` takes them.
     frequencies : array_like (..., m), optional
         Of the model [Hz], for the titles.
     sensors : array_like of int (s,), optional
@@ -179,7 +182,8 @@ class Compared:
             advice = "Read the shapes as well."
             raise ValueError(message("measured", "a ModalData with shapes", "frequencies alone", advice))
         self.measured, self.identified = data.shapes, data.frequencies
-        shapes = as_numbers(self.shapes, "shapes", "Pass those of the model.")
+        shapes, self.frequencies = shapes_and_frequencies(self.shapes, self.frequencies)
+        shapes = as_numbers(shapes, "shapes", "Pass those of the model.")
         if shapes.ndim < 2 or 0 in shapes.shape:
             advice = "Give one shape in each row."
             raise ValueError(message("shapes", "of shape (..., mode, point)", shapes.shape, advice))
@@ -208,6 +212,32 @@ class Compared:
     def frequency(self, mode: int, form: str) -> str:
         """Median frequency of a mode of the model in some form; nothing if it has none."""
         return "" if self.frequencies is None else form.format(quantiles(self.frequencies[:, mode])[1])
+
+
+def shapes_and_frequencies(modes, frequencies) -> tuple:
+    """Shapes in rows and frequencies [Hz] of modes; arrays stay as they are."""
+    if hasattr(modes, "mode_shapes"):
+        found = modes.mode_shapes.T, modes.natural_frequencies
+    elif hasattr(modes, "shapes") and hasattr(modes, "frequencies"):
+        found = modes.shapes, modes.frequencies
+    else:
+        return modes, frequencies
+    if all(hasattr(variable, "eval") for variable in found):
+        found = constants(found)
+    return found[0], found[1] if frequencies is None else frequencies
+
+
+def constants(variables) -> list[np.ndarray]:
+    """Values of variables that depend on nothing random."""
+    from pytensor.graph.basic import Constant
+    from pytensor.graph.traversal import ancestors
+
+    from pymc_features.modal.feature import ONCE
+
+    if any(v.owner is None and not isinstance(v, Constant) for v in ancestors(variables)):
+        advice = "Pass the shapes of draws, or build the structure with numbers."
+        raise TypeError(message("shapes", "modes of numbers", "those of random variables", advice))
+    return [variable.eval(mode=ONCE) for variable in variables]
 
 
 def indices(name: str, values, n: int, most: int, what: str) -> np.ndarray:

@@ -2,9 +2,10 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pymc as pm
 import pytest
 
-from pymc_features import ModalDamping, ModalData, SpringMassChain, mac, plots
+from pymc_features import ModalDamping, ModalData, SpringMassChain, mac, modes, plots
 
 CHANNELS = [0, 2]
 
@@ -50,6 +51,25 @@ def test_mac_matrix(measured, draws):
     medians = np.median(frequencies, axis=(0, 1))
     assert [t.get_text() for t in ax.get_xticklabels()] == [f"f{k + 1}: {medians[k]:.4g}" for k in range(3)]
     assert ax.get_yticklabels()[1].get_text() == f"{measured.frequencies[1]:.4g}"
+
+
+def test_modes_go_into_figures_as_they_are(measured):
+    """Modes of a structure, those inside a model where they are numbers, and identified ones."""
+    chain = SpringMassChain([1.0, 1.0, 1.0], [110.0, 100.0, 90.0], ModalDamping(0.01))
+    found = chain.modes()
+    rows = found.mode_shapes.T[:, CHANNELS]
+    others = ModalData(found.natural_frequencies, rows, measured.channels)
+    for given in (modes(chain, sensors=CHANNELS), others):
+        [ax] = plots.plot_mac(measured, given)
+        np.testing.assert_allclose(ax.images[0].get_array(), mac(measured.shapes, rows), rtol=1e-12)
+        assert ax.get_xticklabels()[0].get_text() == f"f1: {found.natural_frequencies[0]:.4g}"
+    axes = plots.plot_mode_shapes(measured, found, sensors=CHANNELS)
+    assert f"model f1: {found.natural_frequencies[0]:.4g} Hz" in axes[0].get_title()
+    with pm.Model():
+        factor = pm.LogNormal("factor")
+        random = modes(SpringMassChain(np.ones(3), 100.0 * factor, ModalDamping(0.01)), sensors=CHANNELS)
+        with pytest.raises(TypeError, match="`shapes` must be modes of numbers, got those of random"):
+            plots.plot_mac(measured, random)
 
 
 def test_mac_matrix_of_one_structure_and_of_missing_entries(measured):
