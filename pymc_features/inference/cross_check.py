@@ -31,7 +31,7 @@ from pymc_features.smc.proposals.fitted import heavy_tailed
 from pymc_features.smc.proposals.mixture import log_sum, pareto_k, pareto_smoothed
 from pymc_features.smc.proposals.pool import LARGEST_K
 from pymc_features.smc.proposals.proposal import Mixture, StudentT, distinct, fit_mixture
-from pymc_features.smc.proposals.reference import Mode, Reference, laplace_mode, nearest
+from pymc_features.smc.proposals.reference import WIDEST, Mode, Reference, laplace_mode, nearest
 
 WIDTHS, WIDE_SHARES = (1.05, 1.6), (0.85, 0.15)  # of the fit to the run's draws, over it, and their shares
 HEAVIEST = 16  # draws of the fit from which climbs start, at most, and no more than from the prior
@@ -229,6 +229,8 @@ def cross_check(
     log_weights = value - fit.log_density(x)
     known_from = np.quantile(fit.log_density(draws), KNOWN)
     least_evidence = log_evidence - LEAST_EVIDENCE - np.log(scale).sum()
+    # at the top of a mode that is as wide as Laplace's approximation may be
+    least_value = least_evidence - len(scale) * np.log(np.sqrt(2.0 * np.pi) * WIDEST)
     modes: list[Mode] = []
 
     def is_known(u):
@@ -236,13 +238,14 @@ def cross_check(
         return known | (nearest(modes, u) >= 0)
 
     def add(ends, values):
+        negligible: list[Mode] = []
         for i in np.argsort(-values):
-            if len(modes) == MOST_MODES or not values[i] > -np.inf:
+            if len(modes) == MOST_MODES or values[i] < least_value:
                 break
             if (at := nearest(modes, ends[i][None])[0]) >= 0:
                 modes[at] = modes[at]._replace(n_climbs=modes[at].n_climbs + 1)
-            elif (mode := laplace_mode(scaled, ends[i])) is not None:
-                modes.extend([mode] if mode.log_evidence > least_evidence else [])
+            elif nearest(negligible, ends[i][None])[0] < 0 and (mode := laplace_mode(scaled, ends[i])):
+                (modes if mode.log_evidence > least_evidence else negligible).append(mode)
 
     heaviest = np.argsort(-log_weights)[: min(HEAVIEST, effort.climbs)]
     heaviest = heaviest[log_weights[heaviest] > -np.inf]

@@ -1,5 +1,8 @@
 """Free parameters of a model: their values, names, and the way to the unconstrained space and back."""
 
+from collections.abc import Callable
+from weakref import WeakKeyDictionary
+
 import numpy as np
 import pytensor.tensor as pt
 import xarray as xr
@@ -81,27 +84,33 @@ def value_of(rv, value, argument: str) -> np.ndarray:
     return np.array(value)
 
 
+_FORWARD: WeakKeyDictionary = WeakKeyDictionary()  # what `forward_transform` has compiled, by model
+
+
+def forward_transform(model) -> Callable:
+    """Compiled function of the free parameters, to a flat point (d,) on the unconstrained scale."""
+    rvs = model.free_RVs
+    known, function = _FORWARD.get(model, ((), None))
+    if known != tuple(map(id, rvs)):
+        inputs = [rv.type() for rv in rvs]
+        transforms = [model.rvs_to_transforms[rv] for rv in rvs]
+        outputs = [
+            rv if transform is None else transform.forward(rv, *rv.owner.inputs)
+            for rv, transform in zip(rvs, transforms, strict=True)
+        ]
+        outputs = graph_replace(outputs, dict(zip(rvs, inputs, strict=True)), strict=False)
+        flat = pt.concatenate([x.ravel() for x in outputs])
+        function = compile_function(inputs, flat, mode="FAST_COMPILE", on_unused_input="ignore")
+        _FORWARD[model] = tuple(map(id, rvs)), function
+    return function
+
+
 def to_unconstrained(model, posterior) -> np.ndarray:
     """Draws of a posterior Dataset (chain, draw, ...), unconstrained and flat: (chain, draw, parameter)."""
-    rvs = model.free_RVs
-    inputs = [rv.type() for rv in rvs]
-    outputs = []
-    for rv in rvs:
-        transform = model.rvs_to_transforms[rv]
-        outputs.append(rv if transform is None else transform.forward(rv, *rv.owner.inputs))
-    outputs = graph_replace(outputs, dict(zip(rvs, inputs, strict=True)), strict=False)
-    flat = pt.concatenate([x.ravel() for x in outputs])
-    function = compile_function(inputs, flat, mode="FAST_COMPILE", on_unused_input="ignore")
-    columns = [posterior[rv.name].values for rv in rvs]
+    function, rvs = forward_transform(model), model.free_RVs
+    columns = [posterior[rv.name].values.astype(rv.dtype) for rv in rvs]
     chains, draws = columns[0].shape[:2]
-    rows = [
-        [
-            function(*(np.asarray(c[i, j], dtype=rv.dtype) for c, rv in zip(columns, rvs, strict=True)))
-            for j in range(draws)
-        ]
-        for i in range(chains)
-    ]
-    return np.array(rows)
+    return np.array([[function(*(c[i, j] for c in columns)) for j in range(draws)] for i in range(chains)])
 
 
 class Unconstrained:
