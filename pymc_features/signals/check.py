@@ -149,7 +149,8 @@ def check_each(channels: xr.DataArray) -> None:
     """Warn of suspicious channels (sensor, time) in m/s^2, gaps left out; refuse constant ones."""
     names = [repr(str(name)) for name in sensor_names(channels)]
     values = np.asarray(channels.values, dtype=np.float64)
-    measured = [row[~np.isnan(row)] for row in values]
+    whole, gaps = filled(values)
+    measured = [row[~missing] for row, missing in zip(values, gaps, strict=True)] if gaps.any() else values
     for name, history in zip(names, measured, strict=True):
         if not history.size or history.max() == history.min():
             raise ValueError(
@@ -168,7 +169,6 @@ def check_each(channels: xr.DataArray) -> None:
                     "twice. Leave one out."
                 )
         # a first sample of exact zeros before noise or offsets is the empty packet of a logger
-        whole = filled(values)[0]
         later = whole[:, 1:21]
         zero = (whole[:, 0] == 0.0) & (later != 0.0).all(axis=1) & (later.shape[1] == 20)
         if zero.all() and (np.abs(whole[:, 1]) > 4.0 * np.median(np.abs(np.diff(later)), axis=1)).any():
@@ -188,8 +188,9 @@ def implausible(peak: float) -> str:
 
 def _suspicions(history):
     """Texts about one channel: peaks that no structure sees, gravity, tops cut off and values held."""
-    extent, middle = history.max() - history.min(), np.median(history)  # the peak is half of it at least
-    peak = np.abs(history - middle).max()
+    extent = history.max() - history.min()
+    doubtful = not 2.0 * SMALLEST < extent < LARGEST  # the peak is half of it at least
+    peak = np.abs(history - np.median(history)).max() if doubtful else extent
     if extent >= LARGEST and peak > LARGEST:
         yield implausible(peak)
     elif extent <= 2.0 * SMALLEST and peak < SMALLEST:
@@ -199,7 +200,7 @@ def _suspicions(history):
     again = history[1:] == history[:-1]
     if not (again[1:] & again[:-1]).any():  # never three in a row
         return
-    steps = np.diff(history)
+    steps, middle = np.diff(history), np.median(history)
     starts = np.flatnonzero(np.r_[True, ~again])
     lengths = np.diff(np.r_[starts, history.size])
     between = np.abs(steps[starts[1:] - 1])

@@ -397,7 +397,7 @@ def _by_pandas(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndar
     while frame.shape[1] > layout.count and layout.separator != " " and (frame.iloc[:, -1] == "").all():
         frame = frame.iloc[:, :-1]  # a separator at the end of each row
     if not layout.stamp:
-        return 0.0, frame.to_numpy(dtype=np.float64)
+        return 0.0, np.array([frame[k] for k in frame], dtype=np.float64).T  # columns whole
     texts = frame.iloc[:, list(layout.stamp)]
     joint = "," if layout.separator == "," and texts.iloc[0, -1].isdigit() else " "
     stamps = [joint.join(row) for row in zip(*(texts[k] for k in texts), strict=True)]

@@ -65,7 +65,8 @@ def even_clock(
     """
     check_increasing(times, where)
     steps = np.diff(times)
-    usual = float(steps[steps < 1.5 * np.median(steps)].mean())  # of printed times no step is exact
+    long = 1.5 * (steps.min() if steps.max() < 1.5 * steps.min() else np.median(steps))
+    usual = float(steps[steps < long].mean())  # of printed times no step is exact
     missing = np.rint(steps / usual)
     off, slack = np.abs(steps - missing * usual), 0.1 * usual + 2.0 * quantum
     whole = (off <= 0.1 * usual).all() or (slack < 0.4 * usual and (off <= slack * missing).all())

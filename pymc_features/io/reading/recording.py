@@ -180,17 +180,18 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
     if voltage:
         factor /= sensitivity_of(request.sensitivity, quantity)
     values = (channel.values if channel.times is None else _interpolated(channel, dt, file))[skip:]
+    sizes = np.abs(values)
+    largest = np.nanmax(sizes, initial=0.0)
     if not request.gaps and (missing := np.isnan(values)).any():
         raise ValueError(
             f"{file}, {channel.name}: no samples may be missing, {missing.sum()} are, the first after "
             f"{dt * missing.argmax():.6g} s. Cut the file to one side, or use `read_channels_with_gaps`."
         )
-    if values.size < 2 or np.isinf(values).any():
+    if values.size < 2 or largest == np.inf:
         raise ValueError(f"{file}, {channel.name}: at least 2 finite samples must be there, got others.")
     # a number of quite another size has a digit too many or too few in its exponent
-    sizes = np.abs(values)
-    largest, least = np.nanmax(sizes), sizes.min(where=sizes > 0.0, initial=np.inf)
-    alone = np.count_nonzero(sizes * ALONE >= largest) == 1
+    least = sizes.min(where=sizes > 0.0, initial=np.inf)
+    alone = np.count_nonzero(sizes >= largest / ALONE) == 1
     odd = largest if alone else least if least < TINY * largest else 0.0
     if odd and np.count_nonzero(sizes > 0.0) >= FEWEST:
         warn_caller(
@@ -198,7 +199,8 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
             "spoilt?"
         )
     start = None if channel.start is None or request.clock is False else channel.start + skip * dt
-    return factor * values, Clock(file, values.size, dt, start, channel.quantum)
+    values = values if factor == 1.0 else factor * values
+    return values, Clock(file, values.size, dt, start, channel.quantum)
 
 
 def even_or_times(times: np.ndarray, quantum: float, where: Callable[[int], str]) -> dict:
