@@ -15,11 +15,12 @@ from pytensor.graph.op import Op
 from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor import TensorVariable
 from pytensor.tensor.random.utils import normalize_size_param
+from scipy.optimize import linear_sum_assignment
 
 from pymc_features.ops.numba_dispatch import run_in_python
-from pymc_features.simulators.modal.assignment import assignments
 
 UNMATCHED = -1e30  # stands for a log-density of -inf in sums of which the largest is sought
+IMPOSSIBLE = 1e100  # what a cost that is infinite or NaN counts as
 
 
 def one_minus_mac(shapes, parts, known):
@@ -67,8 +68,10 @@ class Assignment(Op):
         rows, columns = score.shape[-2:]
         if rows > columns:
             raise ValueError(f"an assignment must have as many columns as rows, got {columns} for {rows}.")
-        cost = np.ascontiguousarray(-score).reshape(-1, rows, columns)
-        return (assignments(cost).reshape(score.shape),)
+        cost, chosen = np.where(np.abs(score) < IMPOSSIBLE, -score, IMPOSSIBLE), np.zeros(score.shape)
+        for own, taken in zip(*(x.reshape(-1, rows, columns) for x in (cost, chosen)), strict=True):
+            taken[linear_sum_assignment(own)] = 1.0
+        return (chosen,)
 
     def infer_shape(self, node, shapes):
         return shapes
