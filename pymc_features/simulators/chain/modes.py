@@ -196,7 +196,10 @@ def is_chain(mass, stiffness):
 @jit
 def is_graded(stiffness):
     """Whether springs differ so much that a sum of two of them loses the digits of the smaller one."""
-    return stiffness.max() > GRADED * stiffness.min()
+    least, largest = stiffness[0], stiffness[0]
+    for one in stiffness:
+        least, largest = min(least, one), max(largest, one)
+    return largest > GRADED * least
 
 
 @jit

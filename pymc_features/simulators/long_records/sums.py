@@ -399,6 +399,13 @@ def write_results(room, mesh, m, quantity, wants_gradient, out):
 
 
 @jit
+def put_another(values, lane, some):
+    """Write one lane of values (k, lane) into another."""
+    for i in range(values.shape[0]):
+        values[i, lane] = values[i, some]
+
+
+@jit
 def evaluate(state, systems, mesh, weights, quantity, reach, result):
     """Evaluate structures with numbers like the state where nodes are there; else these go into the reach.
 
@@ -454,11 +461,9 @@ def evaluate(state, systems, mesh, weights, quantity, reach, result):
         some = np.argmax(is_there)
         for lane in range(one):
             if not is_there[lane]:  # another one in its place
-                poles[:, lane], own[:, lane], entries[:, lane] = (
-                    poles[:, some],
-                    own[:, some],
-                    entries[:, some],
-                )
+                put_another(poles, lane, some)
+                put_another(own, lane, some)
+                put_another(entries, lane, some)
         for r in range(m):
             take_mode(room, mesh, entries[r], r, vectors, quantity)
         write_results(room, mesh, m, quantity, wants_gradient, view(result[first // one], like))

@@ -47,5 +47,12 @@ def new_systems(n_particles, n_sensors, n_modes, n_inputs):
 def put_modes(systems, p, modes, feed):
     """Write the `ModalSystem` and the feed-through (s, d) of structure p."""
     systems.valid[p] = True
-    systems.omega[p], systems.damping[p] = modes.omega, modes.damping
-    systems.shapes[p], systems.participation[p], systems.feed[p] = modes.shapes, modes.participation, feed
+    for r in range(modes.omega.size):  # assignments of arrays compile long, see `copy_entries`
+        systems.omega[p, r], systems.damping[p, r] = modes.omega[r], modes.damping[r]
+        for j in range(feed.shape[0]):
+            systems.shapes[p, j, r] = modes.shapes[j, r]
+        for d in range(feed.shape[1]):
+            systems.participation[p, r, d] = modes.participation[r, d]
+    for j in range(feed.shape[0]):
+        for d in range(feed.shape[1]):
+            systems.feed[p, j, d] = feed[j, d]
