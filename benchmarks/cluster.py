@@ -21,7 +21,7 @@ from benchmarks.tables import significant, table
 from pymc_features.smc import open_workers, population_logp
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.workers import workers as spreading
-from pymc_features.smc.workers.cuts import parts_of
+from pymc_features.smc.workers.workers import parts_of
 
 WORKERS = (1, 2, 10, 100, 1000)
 UNIT, MANY, LARGE = 8, 64, 8192  # particles of a part; parts in flight; particles of a large part

@@ -35,9 +35,8 @@ from pymc_features.likelihoods import (
 from pymc_features.modal import ModalData, ModalFeature, mac, match_modes, merge_setups, modes
 from pymc_features.modal.files import read_modal, write_modal
 from pymc_features.ops import mean_square_discrepancy, response
-from pymc_features.placement import sensor_placement
 from pymc_features.plots import *  # noqa: F403  plot_chains, plot_loops, ...
-from pymc_features.prediction import first_passage_probability, posterior_response
+from pymc_features.prediction import first_passage_probability, posterior_response, sensor_placement
 from pymc_features.records import CyclicTest, Loading, Record
 from pymc_features.simulators import integration_error, simulate, spring_forces
 from pymc_features.smc import TMCMC, PersistentSMC, PopulationIMH, PopulationMH, SubsetSimulation, sample_smc

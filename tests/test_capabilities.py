@@ -166,7 +166,7 @@ CAPABILITIES = {  # file: what a user can do: the test
         "prediction: posterior_response": "test_bands_are_those_of_all_histories",
         "prediction: first_passage_probability": "test_first_passage_of_a_proportional_peak",
     },
-    "placement/test_sensors.py": {
+    "prediction/test_placement.py": {
         "prediction: sensor_placement": "test_as_good_as_trying_all",
     },
     "external/test_external.py": {

@@ -36,14 +36,13 @@ ALLOWED = {
     "external": {"ops", "fingerprint", "inference", "smc", "progress"},
     "storage": set(),
     "fingerprint": set(),
-    "prediction": {"records", "structures", "simulators"},
+    "prediction": {"records", "structures", "simulators", "inference", "smc", "calibration"},
     "ops": {"algebra", "records", "structures", "simulators", "band_limited"},
     "ambient": {"records", "structures", "simulators", "ops", "modal", "signals"},
     "likelihoods": {"ops", "modal", "fingerprint"},
     "smc": {"external", "simulators"},  # of it the workers, as in the next
     "inference": {"records", "structures", "simulators", "ops", "likelihoods", "external", "smc"},
     "calibration": {"ops", "likelihoods", "inference", "smc"},
-    "placement": {"inference", "smc", "calibration"},
     "events": {"inference", "smc", "calibration", "storage"},
     "study": {
         *("records", "structures", "simulators", "io", "datasets", "ground_motion"),

@@ -1,6 +1,7 @@
 """Laplace's approximation, the field's asymptotic method: draws, evidence, and how good they are."""
 
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 import pymc as pm
@@ -12,9 +13,77 @@ from pymc.util import RandomState
 from pymc_features._checks import check_integer, check_mapping, check_model, check_seed
 from pymc_features.exceptions import LaplaceWarning
 from pymc_features.inference.parameters import Unconstrained, check_continuous, entry_names, initial_values
-from pymc_features.inference.polish import distinct, gaussian_at
 from pymc_features.smc import find_reference, likelihood_kinds, population_logp, prior_points
-from pymc_features.smc.proposals.ascent import climb
+from pymc_features.smc.proposals.ascent import climb, curvature
+
+MAX_NEWTON, MAX_HALVINGS = 30, 30
+NO_GAIN = 1e-12  # in the log-density, of the next step: at a mode
+SMALL_GAIN = 1e-4  # above which rounding does not keep it
+SAME_MODE = 0.1  # squared distance in standard deviations of modes that are one
+
+
+def gaussian_at(density: Callable, x: np.ndarray, scale: np.ndarray):
+    """Go on from near a mode to it.
+
+    Parameters
+    ----------
+    density : callable
+        Log-density (n,) and its gradient (n, d) at points (n, d).
+    x : array (d,)
+    scale : array (d,)
+        Of the coordinates.
+
+    Returns
+    -------
+    x, value, curvature
+        The mode, its log-density, and minus the Hessian there; None if there is no maximum with a positive
+        definite curvature.
+    """
+
+    def scaled(points):
+        values, slopes = density(scale * points)
+        return values, slopes * scale
+
+    u = x / scale
+    value, slope = (part[0] for part in scaled(u[None]))
+    for _ in range(MAX_NEWTON):
+        hessian = curvature(scaled, u)
+        if not np.isfinite(hessian).all():
+            return None
+        eigenvalues, vectors = np.linalg.eigh(hessian)
+        least = 1e-12 * np.abs(eigenvalues).max()
+        step = vectors @ ((vectors.T @ slope) / np.maximum(np.abs(eigenvalues), least))
+        gain = float(slope @ step)
+        if gain < NO_GAIN:
+            break
+        further = half_steps(scaled, u, value, step)
+        if further is None:
+            break
+        u, value, slope = further
+    if not (np.isfinite(value) and eigenvalues[0] > 0.0 and gain < SMALL_GAIN):
+        return None
+    return scale * u, float(value), hessian / np.outer(scale, scale)
+
+
+def half_steps(density, x, value, step):
+    """The first of ever shorter steps that is higher: point, value and slope; None if there is none."""
+    for _ in range(MAX_HALVINGS):
+        values, slopes = density((x + step)[None])
+        if values[0] > value:
+            return x + step, values[0], slopes[0]
+        step = 0.5 * step
+    return None
+
+
+def distinct(modes: list) -> list:
+    """Modes (x, value, curvature) from the highest on, without those that were found before."""
+    kept = []
+    for mode in sorted(modes, key=lambda m: -m[1]):
+        x, _, hessian = mode
+        if all((x - other) @ hessian @ (x - other) > SAME_MODE for other, _, _ in kept):
+            kept.append(mode)
+    return kept
+
 
 LOW_EFFICIENCY = 0.2
 LARGE_ERROR = 0.2  # of a quantile, over the 5-95 % width
@@ -156,14 +225,14 @@ def draw_mixture(modes, evidences, n, rng):
     which = np.searchsorted(np.cumsum(weights), (np.arange(n) + rng.random()) / n).clip(max=len(modes) - 1)
     z = rng.standard_normal((n, len(modes[0][0])))
     particles = np.empty_like(z)
-    for k, (x, _, curvature) in enumerate(modes):
-        factor = np.linalg.cholesky(curvature)
+    for k, (x, _, hessian) in enumerate(modes):
+        factor = np.linalg.cholesky(hessian)
         particles[which == k] = x + np.linalg.solve(factor.T, z[which == k].T).T
     parts = []
-    for (x, _, curvature), log_weight in zip(modes, log_weights, strict=True):
+    for (x, _, hessian), log_weight in zip(modes, log_weights, strict=True):
         away = particles - x
-        logdet = np.linalg.slogdet(curvature)[1]
-        quadratic = np.einsum("ni,ij,nj->n", away, curvature, away)
+        logdet = np.linalg.slogdet(hessian)[1]
+        quadratic = np.einsum("ni,ij,nj->n", away, hessian, away)
         parts.append(log_weight + 0.5 * (logdet - len(x) * np.log(2 * np.pi) - quadratic))
     order = rng.permutation(n)
     return particles[order], np.logaddexp.reduce(parts, axis=0)[order]

@@ -54,13 +54,15 @@ from pymc_features.simulators.linear.gradient import (
     linear_population_gradient,
     linear_response_gradient,
 )
-from pymc_features.simulators.linear.population import (
+from pymc_features.simulators.linear.response import (
+    linear_discrepancy,
     linear_gradient_systems,
+    linear_misfit,
     linear_population_discrepancy,
     linear_population_misfit,
+    linear_response,
     linear_systems,
 )
-from pymc_features.simulators.linear.response import linear_discrepancy, linear_misfit, linear_response
 from pymc_features.simulators.modal.chain import (
     chain_modes_gradient,
     chain_population_modes,

@@ -6,7 +6,7 @@ import pytest
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.eigen.complex_modes import CANCELLING, check_sums, new_complex
-from pymc_features.simulators.linear import population
+from pymc_features.simulators.linear import response as population
 from pymc_features.simulators.oscillators.march import GROUP
 from support.kernels import linear_misfit, linear_population_discrepancy, linear_population_misfit
 from support.linear import meeting, noise, random_structure, spring_chain

@@ -16,7 +16,8 @@ from pymc_features import (
 from pymc_features.algebra import natural_modes
 from pymc_features.simulators import FAMILIES
 from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.linear import gradient, population
+from pymc_features.simulators.linear import gradient
+from pymc_features.simulators.linear import response as population
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.oscillators import pull_back

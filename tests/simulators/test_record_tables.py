@@ -28,7 +28,7 @@ from pymc_features import (
 )
 from pymc_features.ops import long_records
 from pymc_features.simulators import QUANTITIES
-from pymc_features.simulators.long_records import misfits, table
+from pymc_features.simulators.long_records import misfits
 from pymc_features.smc.density.evaluation import population_logp
 from support.graphs import PLAIN
 from support.reference import first_order_hold, richardson
@@ -255,8 +255,8 @@ def test_same_bits_in_any_order_and_company(monkeypatch):
     """Of one function and of another, and where less memory is allowed than all need together."""
     together = Case().by_table()
     order = np.random.default_rng(3).permutation(PARTICLES)
-    for most in (table.MOST_BYTES, 5e5):
-        monkeypatch.setattr(table, "MOST_BYTES", most)
+    for most in (misfits.MOST_BYTES, 5e5):
+        monkeypatch.setattr(misfits, "MOST_BYTES", most)
         case = Case()
         for which in (order[:1], order[:3], order[3:], order[:1]):
             for found, whole in zip(case.by_table(SPRINGS[which]), together, strict=True):
@@ -265,7 +265,7 @@ def test_same_bits_in_any_order_and_company(monkeypatch):
 
 
 def test_too_little_memory_is_no_table(monkeypatch):
-    monkeypatch.setattr(table, "MOST_BYTES", 1e4)
+    monkeypatch.setattr(misfits, "MOST_BYTES", 1e4)
     check_marched(Case())
 
 

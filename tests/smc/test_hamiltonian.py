@@ -16,8 +16,7 @@ from pymc_features.exceptions import NotDifferentiableError
 from pymc_features.smc.kernels import chains as chains_module
 from pymc_features.smc.kernels.chains import Chains
 from pymc_features.smc.proposals import arms
-from pymc_features.smc.proposals.arms import ARMS, HAMILTONIAN, FittedMoves
-from pymc_features.smc.proposals.hamiltonian import Hamiltonian
+from pymc_features.smc.proposals.arms import ARMS, HAMILTONIAN, FittedMoves, Hamiltonian
 from pymc_features.smc.proposals.pool import Pool
 from pymc_features.smc.proposals.proposal import StudentMixture, StudentT
 from pymc_features.smc.proposals.reference import Mode, Reference

@@ -18,7 +18,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.exceptions import PopulationWarning, SubsetSimulationWarning, ToleranceNotReachedError
-from pymc_features.smc.kernels.levels import Levels
+from pymc_features.smc.kernels.subset import Levels
 from support.refusals import refusals
 from support.sampling import QUIET, mean_within_errors
 from support.structures import noise_record, with_noise

@@ -8,14 +8,57 @@ from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import cloudpickle
 import numpy as np
+import pytensor.tensor as pt
+from pytensor.gradient import NullTypeGradError
 
 from pymc_features.exceptions import NotDifferentiableError, PopulationWarning
-from pymc_features.smc.density.gradient import gradient_graph
-from pymc_features.smc.density.graph import density_graph
+from pymc_features.smc.density.graph import DensityGraph, Outputs, density_graph
 from pymc_features.smc.density.nodes import core_op, inner_nodes, is_random, simulators_inside
 from pymc_features.smc.density.prior import prior_points
 from pymc_features.smc.density.rows import RowFunction
 from pymc_features.smc.density.support import inside_support
+
+
+def gradient_graph(graph: DensityGraph) -> DensityGraph:
+    """Add the gradients of log prior and log-likelihood, (d,) or (p, d), behind the outputs of a graph.
+
+    Raises
+    ------
+    NotDifferentiableError
+        If a part of the model has no gradient; the message is one sentence without its stop.
+    """
+    if graph.discrete:
+        raise NotDifferentiableError(f"{', '.join(graph.discrete)} is discrete")
+    try:
+        one = with_gradients(graph.one)
+    except Exception as error:  # any Op of any library may refuse in its own way
+        raise NotDifferentiableError(reason_of(error)) from error
+    if graph.population is None:
+        return graph._replace(one=one)
+    try:
+        return graph._replace(one=one, population=with_gradients(graph.population))
+    except Exception as error:
+        reason = f"a part of the model has no gradient of a population ({reason_of(error)})"
+        return graph._replace(one=one, population=None, why_not_batched=reason)
+
+
+def with_gradients(graph: Outputs) -> Outputs:
+    """Add the gradients: those of sums over particles, for no row depends on another."""
+    prior, likelihood, *_ = graph.outputs
+    slopes = [
+        pt.grad(density.astype("float64").sum(), graph.joined, disconnected_inputs="ignore")
+        for density in (prior, likelihood)
+    ]
+    return graph._replace(outputs=[*graph.outputs, *slopes])
+
+
+def reason_of(error: Exception) -> str:
+    """First sentence of what an error says; of PyTensor's on a missing gradient, that which names the Op."""
+    said = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, NullTypeGradError):
+        said = said.rpartition(" because ")[2]
+    return said.partition(". ")[0].removesuffix(".")
+
 
 PRIOR_POINTS = 1024  # at most, from which bases are made
 

@@ -2,11 +2,14 @@
 
 import hashlib
 import os
+import tempfile
 import time
 import uuid
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
 
 import cloudpickle
 import numpy as np
@@ -22,8 +25,121 @@ from pymc_features.external.workers.executors import (
 )
 from pymc_features.smc.density.evaluation import PopulationLogp
 from pymc_features.smc.density.rows import ONE_CALL
-from pymc_features.smc.workers.cuts import parts_of
-from pymc_features.smc.workers.part import ModelPart
+
+PER_PLACE = 2  # parts of what is left, for each place of work: large parts first, small ones at the end
+
+
+def parts_of(n: int, unit: int, least: int, places: int | None) -> list[tuple[int, int]]:
+    """First rows of parts of `n` particles, and the rows after their last ones.
+
+    Parameters
+    ----------
+    n : int
+        Particles.
+    unit : int
+        A population is cut at multiples of it, and no part is smaller.
+    least : int
+        Particles of a part that are worth a message.
+    places : int or None
+        How many parts are in work at once; None where nobody knows, and then all parts are small.
+
+    Notes
+    -----
+    Guided self-scheduling (Polychronopoulos & Kuck, IEEE Trans. Comput. C-36 (1987), 1425-1439): each part is
+    a fixed share of what is left, so that the last ones, for which nobody wants to wait, are small.
+
+    Examples
+    --------
+    >>> parts_of(100, unit=8, least=10, places=2)
+    [(0, 32), (32, 56), (56, 72), (72, 100)]
+    >>> parts_of(15, unit=8, least=1, places=2)
+    [(0, 15)]
+    """
+    smallest = -(-max(least, unit) // unit) * unit
+    first, parts = 0, []
+    while first < n:
+        left = n - first
+        share = 0 if places is None else left / (PER_PLACE * places)
+        size = max(smallest, -(-int(share) // unit) * unit)
+        end = n if left - size < smallest else first + size
+        parts.append((first, end))
+        first = end
+    return parts
+
+
+class PartResult(NamedTuple):
+    """What comes back of a part.
+
+    Attributes
+    ----------
+    outputs : list of array (p, ...)
+        As from `RowFunction`.
+    last_error : str
+        What the model raised last; empty if nothing did.
+    warned : list of tuple (type, str)
+        Warnings of this package.
+    """
+
+    outputs: list
+    last_error: str
+    warned: list
+
+
+class ModelPart:
+    """The evaluation of a model on a worker.
+
+    Where it arrives, its functions are called once: machine code that no process of the machine has compiled
+    yet is compiled by one of them, while the others wait, and found on disk by these.
+
+    Parameters
+    ----------
+    logp : PopulationLogp
+    """
+
+    def __init__(self, logp: PopulationLogp):
+        self.logp = logp
+
+    def __call__(self, which: str, particles: np.ndarray | None) -> PartResult | None:
+        """Raw outputs of `values` or `slopes` of particles (p, d); none only loads the model."""
+        if particles is None:
+            return None
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            outputs = getattr(self.logp, which)(particles)
+        told = [(w.category, str(w.message)) for w in caught if is_ours(w.category)]
+        return PartResult(outputs, self.logp.last_error, told)
+
+    def __setstate__(self, state):
+        self.__dict__.update(state)
+        with one_process_at_a_time():
+            for function in (self.logp.values, self.logp.slopes):
+                if function is not None:
+                    function(self.logp.start)
+
+
+def is_ours(category: type) -> bool:
+    """Whether a warning is one of this package."""
+    return category.__module__.partition(".")[0] == "pymc_features"
+
+
+@contextmanager
+def one_process_at_a_time() -> Iterator[None]:
+    """Wait for other processes of this user and machine, where the system can do that."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    path = Path(tempfile.gettempdir()) / f"pymc_features-{os.getuid()}.lock"
+    try:
+        file = open(path, "a")  # noqa: SIM115  closed below, which frees the lock
+    except OSError:  # each compiles by itself
+        yield
+        return
+    with file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
 
 ATTEMPTS = 3  # at a part, in processes that die
 # a part takes at least so long, that its message hardly counts [s]: to a process here, or elsewhere

@@ -75,7 +75,7 @@ CALLS = {
             "idata": {"None"},
         },
         {"candidates": ["positions", "n"]},
-        instead={"pymc_features.placement.sensors.gram_matrices": work},
+        instead={"pymc_features.prediction.sensors.gram_matrices": work},
         more={"idata": ODD_TREES},
     ),
 }

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import pymc_features as pmf
-from pymc_features.placement.sensors import Information, best_sensors, gram_matrices
+from pymc_features.prediction.sensors import Information, best_sensors, gram_matrices
 
 CRITERIA = ("D", "A", "prediction")
 N, TIMES = 10, 40
