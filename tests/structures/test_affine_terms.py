@@ -6,7 +6,7 @@ import pytest
 from scipy import sparse
 
 import pymc_features as pmf
-from pymc_features import AffineStructure, ModalDamping, RayleighDamping
+from pymc_features import AffineStructure, RayleighDamping
 
 DAMPING = RayleighDamping(0.1, 0.001)
 NOMINAL = {"lower": 3.1e7 / 3, "upper": 2.3e7 / 7, "mass": 811.3, "dashpot": 0.0}
@@ -60,17 +60,12 @@ def test_damping_given_replaces_that_of_the_function():
     )
     mass, damping, stiffness = found.matrices()
     np.testing.assert_allclose(damping, 0.1 * mass + 0.001 * stiffness, rtol=1e-13)
+    pair = AffineStructure.from_matrices(
+        lambda k: (np.eye(2), k * UPPER + FIXED), {"k": 10.0}, damping=DAMPING
+    )
+    assert pair.n_dof == 2
     with pytest.raises(ValueError, match="`parameters` must change a matrix each, got 'dashpot'"):
         AffineStructure.from_matrices(frame, NOMINAL, damping=DAMPING)
-
-
-def test_function_without_damping():
-    def build(k):
-        return np.eye(2), k * UPPER + FIXED
-
-    assert AffineStructure.from_matrices(build, {"k": 10.0}, damping=ModalDamping(0.1)).n_dof == 2
-    with pytest.raises(ValueError, match=r"`damping` must be given if `build` returns \(M, K\)"):
-        AffineStructure.from_matrices(build, {"k": 10.0})
 
 
 def test_parameters_by_name():
@@ -103,9 +98,8 @@ def cantilever(E, h, b, m):  # noqa: N803
     [
         (cantilever, {"h": 0.2, "m": 5.0}, "stiffness in which h enters otherwise"),
         (cantilever, {"E": 2e11, "b": 0.1, "m": 5.0}, "stiffness in which E and b act on each other"),
-        (cantilever, {"E": 2e11, "h": 0.1}, "stiffness in which h enters otherwise"),
     ],
-    ids=["cube", "product", "both"],
+    ids=["cube", "product"],
 )
 def test_what_is_not_affine_is_refused_by_name(build, parameters, message):
     rest = {"E": 2e11, "h": 0.2, "b": 0.1, "m": 5.0}
@@ -114,14 +108,18 @@ def test_what_is_not_affine_is_refused_by_name(build, parameters, message):
         AffineStructure.from_matrices(lambda **x: build(**rest | x), parameters, damping=DAMPING)
 
 
-def test_rayleigh_damping_from_frequencies_is_refused():
-    def build(k):
-        stiffness, omega = k * UPPER + FIXED, np.sqrt(k)
-        return np.eye(2), 0.02 * omega * np.eye(2) + 0.02 / omega * stiffness, stiffness
+def of_frequencies(k):
+    """Rayleigh damping by ratios at sqrt(k), which k does not enter linearly."""
+    stiffness, omega = k * UPPER + FIXED, np.sqrt(k)
+    return np.eye(2), 0.02 * omega * np.eye(2) + 0.02 / omega * stiffness, stiffness
 
+
+def test_damping_that_cannot_be_taken():
     with pytest.raises(ValueError, match="a damping in which k enters otherwise.*pass `damping`"):
-        AffineStructure.from_matrices(build, {"k": 100.0})
-    AffineStructure.from_matrices(build, {"k": 100.0}, damping=DAMPING)
+        AffineStructure.from_matrices(of_frequencies, {"k": 100.0})
+    AffineStructure.from_matrices(of_frequencies, {"k": 100.0}, damping=DAMPING)
+    with pytest.raises(ValueError, match=r"`damping` must be given if `build` returns \(M, K\)"):
+        AffineStructure.from_matrices(lambda k: (np.eye(2), k * UPPER + FIXED), {"k": 10.0})
 
 
 @pytest.mark.parametrize(
@@ -132,21 +130,13 @@ def test_rayleigh_damping_from_frequencies_is_refused():
             {"k": 1.0},
             r"`build` must be a function that returns \(M, C, K\) or \(M, K\), got N",
         ),
-        (lambda k: (1, 2, 3, 4), {"k": 1.0}, r"returns \(M, C, K\) or \(M, K\), got 4 of them"),
         (lambda k: (np.eye(2), "stiff"), {"k": 1.0}, "finite square matrices, got str as stiffness"),
         (lambda k: (np.eye(2), np.ones((2, 3))), {"k": 1.0}, r"got shape \(2, 3\) for stiffness"),
         (lambda k: (np.eye(2), np.eye(2) * np.nan), {"k": 1.0}, "got NaN or infinity in stiffness"),
-        (lambda k: (np.eye(2), np.eye(3)), {"k": 1.0}, "matrices of one size"),
         (lambda k: (np.eye(int(k)), np.eye(int(k))), {"k": 2.0}, "matrices of one size.*not the degrees"),
-        (
-            lambda k: (np.eye(2), np.eye(2)),
-            {"k": 1.0},
-            "must change a matrix each, got 'k' that changes none",
-        ),
         (frame, {}, "`parameters` must be one or more"),
         (frame, 3.0, "`parameters` must be a mapping of names to nominal values"),
         (frame, {"k": np.inf}, r"`parameters\['k'\]` must be finite, got inf"),
-        (frame, {"k": "big"}, r"`parameters\['k'\]` must be a number, got 'big'"),
         (
             lambda k: None,
             {"E": 1.0},

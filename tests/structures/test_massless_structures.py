@@ -45,24 +45,6 @@ def test_modes_are_those_of_the_condensed_structure(kind, arm):
     np.testing.assert_allclose(2.0 * modes.damping_ratios * np.sqrt(values), rayleigh, rtol=1e-10)
 
 
-@arms
-def test_compiled_modes_and_motions_without_mass(arm):
-    """Modes as of `natural_modes`, then motions that K makes orthogonal, under an infinite frequency."""
-    mass, _, stiffness = Cantilever(5, arm).matrices(THETA)
-    expected, columns = natural_modes(mass, stiffness, 5)
-    omega, shapes = np.empty(10), np.empty((10, 10))
-    assert dense_modes(mass, stiffness, omega, shapes)
-    np.testing.assert_allclose(omega[:5], expected, rtol=1e-11)
-    assert np.isinf(omega[5:]).all() and peak_error(shapes[:5], columns.T) < 1e-10
-    moments, motions = shapes @ mass @ shapes.T, shapes[5:]
-    np.testing.assert_allclose(moments, np.diag([1.0] * 5 + [0.0] * 5), atol=1e-11)
-    np.testing.assert_allclose(motions @ stiffness @ motions.T, np.eye(5), atol=1e-11)
-    assert abs(motions @ stiffness @ shapes[:5].T).max() < 1e-9 * abs(stiffness).max()
-    omega, shapes = np.empty(7), np.empty((7, 10))
-    assert dense_modes(mass, stiffness, omega, shapes) and np.isinf(omega[5:]).all()
-    assert not dense_modes(mass, stiffness - np.diag([0.0, 1e4] * 5), omega, shapes)
-
-
 @kinds
 def test_a_raft_keeps_its_rigid_body(kind):
     """A floating chain, every second node without mass: one frequency is exactly zero."""
@@ -103,11 +85,6 @@ FLOATING = np.array(
     [[5.0, 0.0, 0.0], [0.0, 2.0, -2.0], [0.0, -2.0, 2.0]]
 )  # 1 and 2 are held by each other alone
 REFUSED = {  # what is said: what is given
-    "`stiffness` must hold every degree of freedom, got a row of zeros for 1": {
-        "mass": np.diag([1.0, 0.0]),
-        "stiffness": np.diag([2.0, 0.0]),
-        "damping": UNDAMPED,
-    },
     "where there is no mass, got no stiffness for a motion of degrees of freedom 1 and 2. Give it mass": {
         "mass": np.diag([1.0, 0.0, 0.0]),
         "stiffness": FLOATING,
@@ -133,11 +110,21 @@ REFUSED = {  # what is said: what is given
     "`damping` must be zero where there is no mass, .* dashpots at degree of freedom 1. Add mass, or pass": (
         chain_of(1.0, 0.0, 2.0) | {"damping": np.diag([0.0, 1.0, 0.0])}
     ),
-    "dashpots at degrees of freedom 1 and 2": chain_of(1.0, 0.0, 0.0) | {"damping": np.diag([0.0, 1.0, 1.0])},
     "`damping` must not feed energy into any motion": (
         chain_of(1.0, 0.0, 2.0) | {"damping": np.diag([1.0, 0.0, -1.0])}
     ),
 }
+
+
+def test_refused_numbers_of_modes():
+    structure = Cantilever().structure(THETA)
+    with pytest.raises(ValueError, match="`n_modes` must be an integer from 1 to 4, got 5. Leave it out"):
+        simulate(structure, noise_record(20), n_modes=5)
+    mass, _, stiffness = Cantilever().matrices(THETA)
+    with pytest.raises(ValueError, match="`mass` must be semi-definite, of rank 5 at least, got one of ran"):
+        natural_modes(mass, stiffness, 5)
+    with pytest.raises(ValueError, match="got a matrix with a negative eigenvalue"):
+        natural_modes(-mass, stiffness, 1)
 
 
 @kinds
@@ -151,7 +138,7 @@ def test_refusals(kind, given, match):
 @kinds
 def test_mechanisms_are_no_rounding(kind):
     """Three nodes without mass that move together in some direction unheld: a pivot of rounding errors."""
-    for seed in range(8):
+    for seed in range(4):
         rng = np.random.default_rng(seed)
         strain = rng.normal(size=(2, 3)) * 10.0 ** rng.uniform(-2.0, 2.0)
         stiffness = np.zeros((4, 4))
@@ -182,31 +169,8 @@ def test_damping_where_there_is_no_mass(kind):
     ):
         AffineStructure(mass, **softer).with_parameters(theta)
     AffineStructure(mass, **softer, damping_terms=[0.0015 * stiffness]).with_parameters(theta)
-
-
-@kinds
-def test_a_model_with_a_node_that_nothing_holds(kind):
-    """Refused when it is built, whatever its parameters are; a term may hold what the constant does not."""
-    mass, stiffness, theta = (
-        kind(np.diag([1.0, 0.0])),
-        kind(np.diag([3.0, 0.0])),
-        pt.vector("theta", shape=(1,)),
-    )
-    given = dict(stiffness=stiffness, damping=UNDAMPED, theta=theta)
+    mass, stiffness = kind(np.diag([1.0, 0.0])), kind(np.diag([3.0, 0.0]))
+    unheld = dict(stiffness=stiffness, damping=UNDAMPED, theta=theta)
     with pytest.raises(ValueError, match="`stiffness` must hold every .*, got a row of zeros for 1. Remove"):
-        AffineStructure(mass, stiffness_terms=[stiffness], **given)
-    AffineStructure(mass, stiffness_terms=[kind(np.eye(2))], **given)
-
-
-def test_refused_numbers_of_modes():
-    structure = Cantilever().structure(THETA)
-    for ask in (structure.modes, lambda n_modes: simulate(structure, noise_record(20), n_modes=n_modes)):
-        with pytest.raises(ValueError, match="`n_modes` must be an integer from 1 to 4, got 5. Leave it out"):
-            ask(n_modes=5)
-    mass, _, stiffness = Cantilever().matrices(THETA)
-    with pytest.raises(
-        ValueError, match="`mass` must be semi-definite, of rank 5 at least, got one of rank 4"
-    ):
-        natural_modes(mass, stiffness, 5)
-    with pytest.raises(ValueError, match="got a matrix with a negative eigenvalue"):
-        natural_modes(-mass, stiffness, 1)
+        AffineStructure(mass, stiffness_terms=[stiffness], **unheld)
+    AffineStructure(mass, stiffness_terms=[kind(np.eye(2))], **unheld)  # a term holds what K does not

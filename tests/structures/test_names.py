@@ -24,15 +24,13 @@ def test_responses_by_name_are_those_by_number():
     np.testing.assert_array_equal(by_name.values, simulate(frame(), RECORD, sensors=[2, 0]).values)
     assert by_name["sensor"].values.tolist() == ["roof:x", "1:x"]
     assert by_name.sel(sensor="1:x").attrs["units"] == "m/s^2"
-    np.testing.assert_array_equal(simulate(frame(), RECORD, sensors="2:x").values[0], by_number(1))
+    np.testing.assert_array_equal(
+        simulate(frame(), RECORD, sensors="2:x").values[0], simulate(frame(), RECORD, sensors=[1]).values[0]
+    )
     in_model = pmf.response(frame(), RECORD, sensors=["roof:x", "1:x"]).eval()
     np.testing.assert_allclose(in_model, by_name.values, rtol=1e-12, atol=1e-12)
     shapes = pmf.modes(frame(), sensors=["roof:x", "1:x"]).shapes.eval()
     np.testing.assert_allclose(shapes, frame().modes().mode_shapes[[2, 0]].T, atol=1e-12)
-
-
-def by_number(i):
-    return simulate(frame(), RECORD, sensors=[i]).values[0]
 
 
 def test_predictions_have_the_names():
@@ -80,9 +78,7 @@ def test_refusals(structure, sensors, message):
 @pytest.mark.parametrize(
     "names, message",
     [
-        (["a", "b"], "`names` must be 3 different texts, got 2"),
         (["a", "b", "a"], "`names` must be 3 different texts, got 'a' twice"),
-        ([1, 2, 3], "`names` must be 3 texts"),
         ("abc", "`names` must be 3 texts"),
     ],
 )

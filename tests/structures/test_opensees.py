@@ -128,27 +128,19 @@ def test_large_models_are_sparse(monkeypatch):
         (building, {"damping": None}, "`damping` must be given if the model has none"),
         (building, {"direction": "rz"}, "`direction` must be one of x, y, z, got 'rz'"),
         (building, {"direction": 1}, "`direction` must be x, y, z or several of them"),
-        (3.0, {}, "`build` must be a function"),
         (tied_frame, {}, "`build` must be a function of columns, beams, mass, as in `parameters`"),
         (lambda columns, beams, mass: None, {}, "`build` must be a function that makes a model in OpenSees"),
     ],
-    ids=["loose", "undamped", "rotation", "number", "no function", "other names", "no model"],
+    ids=["loose", "undamped", "rotation", "number", "other names", "no model"],
 )
 def test_refusals(build, settings, message):
     with pytest.raises((ValueError, TypeError), match=message):
         AffineStructure.from_opensees(build, NOMINAL, **{"damping": ModalDamping(0.02)} | settings)
 
 
-@pytest.mark.parametrize(
-    "name, message",
-    [
-        ("31:u", "`sensors` must be among 11:z, .*, got '31:u'. Is 31:.* meant?"),
-        ("1:x", "`sensors` must be free to move, got '1:x'. It moves with the base"),
-    ],
-)
-def test_names_that_are_none(name, message):
-    with pytest.raises(ValueError, match=message):
-        simulate(frame(), shaking(), sensors=[name])
+def test_names_that_are_none():
+    with pytest.raises(ValueError, match="`sensors` must be free to move, got '1:x'. It moves with the base"):
+        simulate(frame(), shaking(), sensors=["1:x"])
 
 
 def test_without_opensees(monkeypatch):

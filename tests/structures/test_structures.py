@@ -32,12 +32,6 @@ CHAINS = [kind for kind in STRUCTURES if kind.__name__ in EXTRA]
 UNDAMPED = ModalDamping(0.0)
 
 
-def modes_of(mass, stiffness):
-    """Angular frequencies, shapes in columns and participation factors by `SpringMassChain.modes`."""
-    modes = SpringMassChain(mass, stiffness, UNDAMPED).modes()
-    return modes.angular_frequencies, modes.mode_shapes, modes.participation_factors
-
-
 def random_chain(seed):
     """Masses and springs that differ by up to a factor 50."""
     rng = np.random.default_rng(seed)
@@ -57,46 +51,46 @@ def assembled(mass, stiffness):
     return np.diag(mass), matrix_k
 
 
-def test_uniform_chain_has_the_closed_form_frequencies():
-    """omega_j = 2 sqrt(k/m) sin((2j - 1) pi / (2 (2n + 1))), to 1e-12 for 1 to 100 masses."""
-    for n in range(1, 101):
-        omega, shapes, _ = modes_of(np.full(n, 2.5), np.full(n, 1800.0))
-        j = np.arange(1, n + 1)
-        exact = 2.0 * np.sqrt(1800.0 / 2.5) * np.sin((2 * j - 1) * np.pi / (2 * (2 * n + 1)))
-        np.testing.assert_allclose(omega, exact, rtol=1e-12)
-        angles = np.outer(j, (2 * j - 1) * np.pi / (2 * n + 1))
-        sines = np.sin(angles) / np.sin(angles[-1])  # one at the top
-        np.testing.assert_allclose(shapes / shapes[-1], sines, atol=1e-9 * np.abs(sines).max())
+@pytest.mark.parametrize("n", [1, 2, 3, 10, 100])
+def test_uniform_chain_has_the_closed_form_frequencies(n):
+    """omega_j = 2 sqrt(k/m) sin((2j - 1) pi / (2 (2n + 1))), to 1e-12, and shapes that are sines."""
+    modes = SpringMassChain(2.5, np.full(n, 1800.0), UNDAMPED).modes()
+    j = np.arange(1, n + 1)
+    exact = 2.0 * np.sqrt(1800.0 / 2.5) * np.sin((2 * j - 1) * np.pi / (2 * (2 * n + 1)))
+    np.testing.assert_allclose(modes.angular_frequencies, exact, rtol=1e-12)
+    angles = np.outer(j, (2 * j - 1) * np.pi / (2 * n + 1))
+    sines = np.sin(angles) / np.sin(angles[-1])  # one at the top
+    shapes = modes.mode_shapes / modes.mode_shapes[-1]
+    np.testing.assert_allclose(shapes, sines, atol=1e-9 * np.abs(sines).max())
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_random_chain_against_a_general_eigen_solver(seed):
+    """Modes that are complete, M and K, and C of both dampings, which modal ratios make diagonal."""
     mass, stiffness = random_chain(seed)
+    ratios = np.random.default_rng(seed).uniform(0.0, 0.2, mass.size)
+    chain = SpringMassChain(mass, stiffness, ModalDamping(ratios))
     matrix_m, matrix_k = assembled(mass, stiffness)
-    omega, shapes, participation = modes_of(mass, stiffness)
+    modes, n = chain.modes(), mass.size
+    omega, shapes, participation = modes.angular_frequencies, modes.mode_shapes, modes.participation_factors
     values, vectors = eigh(matrix_k, matrix_m)
     np.testing.assert_allclose(omega**2, values, rtol=1e-9)
+    np.testing.assert_allclose(modes.natural_frequencies, omega / (2 * np.pi), rtol=1e-15)
+    np.testing.assert_allclose(modes.damping_ratios, ratios, rtol=1e-15)
     vectors = vectors * np.where(vectors[-1] < 0, -1.0, 1.0)
     np.testing.assert_allclose(shapes, vectors, atol=1e-8 * np.abs(vectors).max())
-    np.testing.assert_allclose(shapes.T @ matrix_m @ shapes, np.eye(mass.size), atol=1e-12)
-    spread = np.sqrt(np.outer(omega, omega))
-    np.testing.assert_allclose(
-        shapes.T @ matrix_k @ shapes / spread**2, np.eye(mass.size), atol=1e-9 * omega[-1] / omega[0]
-    )
-    assert (shapes[-1] > 0).all()
+    np.testing.assert_allclose(shapes.T @ matrix_m @ shapes, np.eye(n), atol=1e-12)
     np.testing.assert_allclose(participation, shapes.T @ mass, rtol=1e-12, atol=1e-14)
-    np.testing.assert_allclose(shapes @ participation, 1.0, rtol=1e-10)  # the modes are complete
-    np.testing.assert_allclose((participation**2).sum(), mass.sum(), rtol=1e-12)
+    np.testing.assert_allclose(shapes @ participation, 1.0, rtol=1e-10)
+    np.testing.assert_allclose(modes.effective_modal_masses, participation**2, rtol=1e-15)
 
-
-def test_modes_and_effective_masses():
-    modes = SpringMassChain([1.0, 1.0], 100.0, ModalDamping([0.02, 0.05])).modes()
-    golden = (np.sqrt(5.0) + 1.0) / 2.0
-    np.testing.assert_allclose(modes.angular_frequencies, [10.0 / golden, 10.0 * golden], rtol=1e-14)
-    np.testing.assert_allclose(modes.natural_frequencies, modes.angular_frequencies / (2 * np.pi), rtol=1e-15)
-    np.testing.assert_allclose(modes.effective_modal_masses, modes.participation_factors**2, rtol=1e-15)
-    assert modes.effective_modal_masses.sum() == pytest.approx(2.0, rel=1e-14)
-    np.testing.assert_allclose(modes.damping_ratios, [0.02, 0.05], rtol=1e-15)
+    found_m, matrix_c, found_k = chain.matrices()
+    np.testing.assert_array_equal(found_m, matrix_m)
+    np.testing.assert_allclose(found_k, matrix_k, rtol=1e-14)
+    modal = np.diag(2.0 * ratios * np.sqrt(values))
+    np.testing.assert_allclose(vectors.T @ matrix_c @ vectors, modal, atol=1e-8 * np.sqrt(values[-1]))
+    _, matrix_c, _ = SpringMassChain(mass, stiffness, RayleighDamping(0.3, 0.002)).matrices()
+    np.testing.assert_allclose(matrix_c, 0.3 * matrix_m + 0.002 * matrix_k, rtol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -125,56 +119,25 @@ def test_damping_of_the_source():
     assert np.abs(soft[[0, 4]] - 0.02).max() > 0.001
 
 
-@pytest.mark.parametrize("ratios", [(0.02, 0.05), [0.05, 0.05], 0.03])
+@pytest.mark.parametrize(
+    "ratios",
+    [(0.02, 0.05), 0.03, (0.02, 0.02 / 5), (0.02, 0.1)],
+    ids=["two", "one", "by mass", "by stiffness"],
+)
 def test_rayleigh_from_ratios_keeps_its_promise(ratios):
-    frequencies = np.array([1.3, 7.0])
-    damping = RayleighDamping.from_ratios(ratios, frequencies)
-    omega = 2 * np.pi * frequencies
+    """Where zeta is proportional to 1 / omega or omega, the other coefficient is no tiny negative."""
+    damping = RayleighDamping.from_ratios(ratios, (1.0, 5.0))
+    omega = 2 * np.pi * np.array([1.0, 5.0])
     zeta = damping.alpha / (2 * omega) + damping.beta * omega / 2
     np.testing.assert_allclose(zeta, np.broadcast_to(ratios, 2), rtol=1e-13)
-
-
-@pytest.mark.parametrize("ratios", [(0.02, 0.02 / 5), (0.02, 0.1)])
-def test_pure_mass_and_pure_stiffness_damping_survive_rounding(ratios):
-    """zeta proportional to 1 / omega or to omega: the other coefficient is zero, not a tiny negative."""
-    damping = RayleighDamping.from_ratios(ratios, (1.0, 5.0))
     assert min(damping.alpha, damping.beta) >= 0.0
-    assert damping.alpha < 1e-14 or damping.beta < 1e-16
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_matrices(seed):
-    mass, stiffness = random_chain(seed)
-    chain = SpringMassChain(mass, stiffness, RayleighDamping(0.3, 0.002))
-    matrix_m, matrix_c, matrix_k = chain.matrices()
-    expected_m, expected_k = assembled(mass, stiffness)
-    np.testing.assert_array_equal(matrix_m, expected_m)
-    np.testing.assert_allclose(matrix_k, expected_k, rtol=1e-14)
-    np.testing.assert_allclose(matrix_c, 0.3 * expected_m + 0.002 * expected_k, rtol=1e-13)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_modal_damping_matrix(seed):
-    """Its C is symmetric and diagonal in the modes of a general eigen-solver, with 2 zeta omega there."""
-    mass, stiffness = random_chain(seed)
-    ratios = np.random.default_rng(seed).uniform(0.0, 0.2, mass.size)
-    _, matrix_c, _ = SpringMassChain(mass, stiffness, ModalDamping(ratios)).matrices()
-    values, vectors = eigh(*assembled(mass, stiffness)[::-1])
-    expected = np.diag(2.0 * ratios * np.sqrt(values))
-    tolerance = 1e-8 * np.sqrt(values[-1])
-    np.testing.assert_allclose(vectors.T @ matrix_c @ vectors, expected, atol=tolerance)
-    np.testing.assert_allclose(matrix_c, matrix_c.T, atol=1e-12 * np.abs(matrix_c).max())
 
 
 def test_scalars_stand_for_all():
     one = SpringMassChain(2.0, [100.0, 200.0, 300.0], ModalDamping(0.05))
     all_ = SpringMassChain([2.0] * 3, [100.0, 200.0, 300.0], ModalDamping([0.05] * 3))
-    assert one.n_dof == all_.n_dof == 3
     for a, b in zip(one.matrices(), all_.matrices(), strict=True):
         np.testing.assert_array_equal(a, b)
-    assert SpringMassChain([1.0, 2.0], 10.0, UNDAMPED).n_dof == 2
-    assert isinstance(one, Structure)
-    assert SpringMassChain in STRUCTURES
 
 
 @pytest.mark.parametrize("kind", CHAINS)
@@ -182,13 +145,11 @@ def test_every_chain_keeps_the_contract(kind):
     """Numbers or variables, n or one; a response; matrices and modes of the initial stiffness; a value."""
     extra = EXTRA[kind.__name__]
     structure = kind([1.0, 2.0], 100.0, UNDAMPED, **extra)
-    assert isinstance(structure, Structure)
-    assert structure.family in FAMILIES
+    assert isinstance(structure, Structure) and structure.family in FAMILIES
     assert (structure.n_dof, structure.is_symbolic) == (2, False)
     assert repr(structure) == f"{kind.__name__}(2 masses, ModalDamping(0.0))"
     history = simulate(structure, Record([0.0, 1.0, 0.5], 0.02), sensors=[1])
-    assert history.shape == (1, 3)
-    assert np.isfinite(history).all()
+    assert history.shape == (1, 3) and np.isfinite(history).all()
     reference = SpringMassChain([1.0, 2.0], 100.0, UNDAMPED)
     for ours, theirs in zip(structure.matrices(), reference.matrices(), strict=True):
         np.testing.assert_array_equal(ours, theirs)
@@ -197,8 +158,7 @@ def test_every_chain_keeps_the_contract(kind):
     )
     k = pt.scalar("k")
     symbolic = kind([1.0, 2.0], k, UNDAMPED, **extra).scale_stiffness(2.0, [1])
-    assert type(symbolic) is kind
-    assert symbolic.is_symbolic
+    assert type(symbolic) is kind and symbolic.is_symbolic
     scaled = structure.scale_stiffness(2.0, [1])
     for variable, number in zip(symbolic.parameters(), scaled.parameters(), strict=True):
         value = variable.eval({k: 100.0}, mode=PLAIN) if isinstance(variable, pt.TensorVariable) else variable
@@ -220,11 +180,7 @@ EXAMPLES = {
 }
 
 
-def test_every_structure_is_tested():
-    assert {*CHAINS, *EXAMPLES} == set(STRUCTURES)
-
-
-@pytest.mark.parametrize("kind", EXAMPLES)
+@pytest.mark.parametrize("kind", [k for k in STRUCTURES if k not in CHAINS[1:]])
 def test_every_linear_structure_of_the_catalogue(kind):
     """The same structure in every form: modes, damping, matrices, response, and what the base class asks."""
     structure, expected = EXAMPLES[kind](), EXAMPLES[SpringMassChain]()
@@ -260,7 +216,6 @@ def numeric_scaling():
         (0.5, [0, 2], [5.0, 20.0, 15.0, 40.0]),
         ([2.0, 3.0], [3, 1], [10.0, 60.0, 30.0, 80.0]),
         (np.float32(2.0), 0, [20.0, 20.0, 30.0, 40.0]),
-        (2, np.arange(4), [20.0, 40.0, 60.0, 80.0]),
     ],
 )
 def test_scale_stiffness_numbers_and_variables(factor, springs, expected):
@@ -305,15 +260,12 @@ REFUSED_VALUES = {  # what is said: what is given
     "`mass` must be positive and finite, got -2. Pass values in kg": lambda: chain([1, -2.0], 1.0),
     "`stiffness` must be positive and finite, got 0. Pass values in N/m": lambda: chain([1, 1], 0.0),
     "`mass` .* got nan": lambda: chain([1, np.nan], 1.0),
-    "`stiffness` .* got inf": lambda: chain([1, 1], [1, np.inf]),
     r"`mass` must be a scalar or a vector, got shape \(1, 2\). Give one value for each": lambda: chain(
         [[1, 1]], 1.0
     ),
-    r"`stiffness` must be a scalar or a vector, got shape \(0,\)": lambda: chain([1.0], []),
     "`mass` must be a scalar or a vector, got a tensor of 2 dimensions": lambda: chain(pt.matrix("m"), [1.0]),
     "must have the same length, got 2 masses and 3 springs": lambda: chain([1, 1], [1, 1, 1]),
     "must have a known length, got none. Pass one of them as an array": lambda: chain(1.0, 1.0),
-    "must have a known length": lambda: chain(pt.vector("m"), 1.0),
     "`ratios` must have one value or one for each of the 2 modes, got 3": lambda: chain(
         [1.0, 1.0], 1.0, ModalDamping([0.1] * 3)
     ),
@@ -321,23 +273,18 @@ REFUSED_VALUES = {  # what is said: what is given
         ModalDamping(-0.1)
     ),
     "`alpha` must be finite and not negative, got -1. Pass values in 1/s": lambda: RayleighDamping(-1.0, 0.0),
-    "`beta` must be finite and not negative, got nan": lambda: RayleighDamping(0.0, np.nan),
     "`alpha` must be a scalar, got 1 dimension. Pass one value in 1/s": lambda: RayleighDamping(
         [0.1, 0.2], 0.0
     ),
-    "`beta` must be a scalar, got 1 dimension": lambda: RayleighDamping(0.1, pt.vector("b")),
     r"`natural_frequencies` must be two different positive values, got \(1.0, 1.0\)": lambda: from_ratios(
         0.02, (1.0, 1.0)
     ),
-    r"two different positive values, got \(-1.0, 1.0\)": lambda: from_ratios(0.02, (-1.0, 1.0)),
-    r"two different positive values, got \(1.0, 2.0, 3.0\)": lambda: from_ratios(0.02, (1.0, 2.0, 3.0)),
     "must allow non-negative coefficients, got alpha = -.* Bring the two ratios closer": lambda: from_ratios(
         (0.02, 0.2), (1.0, 2.0)
     ),
     "must allow non-negative coefficients, got .* beta = -.* or use `ModalDamping`": lambda: from_ratios(
         (0.2, 0.02), (1.0, 2.0)
     ),
-    "`ratios` must be finite and not negative": lambda: from_ratios(-0.02, (1.0, 2.0)),
 }
 REFUSED_TYPES = {
     "`mass` must be numbers or PyTensor variables, got str. Pass values in kg": lambda: chain("heavy", [1.0]),
@@ -355,16 +302,12 @@ def test_refusals(build, error, match):
     ("factor", "springs", "error", "match"),
     [
         (1.0, [0.5], TypeError, r"`springs` must be integers, got \[0.5\]"),
-        (1.0, [], TypeError, "`springs` must be integers"),
         (1.0, [True, False], TypeError, "`springs` must be integers"),
-        (1.0, [[0, 1]], TypeError, "`springs` must be integers"),
         (1.0, [4], ValueError, r"different numbers from 0 to 3, got \[4\]. Spring 0 is next to the base"),
-        (1.0, [-1], ValueError, r"different numbers from 0 to 3, got \[-1\]"),
         (1.0, [1, 1], ValueError, r"different numbers from 0 to 3, got \[1, 1\]"),
         (0.0, [1], ValueError, "`factor` must be positive and finite, got 0"),
         ([1.0, 2.0, 3.0], [0, 1], ValueError, "one for each of the 2 springs, got 3"),
         ("soft", [1], TypeError, "`factor` must be numbers or PyTensor variables, got str"),
-        (pt.vector("f", shape=(3,)), [0, 1], ValueError, "one for each of the 2 springs, got 3"),
     ],
 )
 def test_scale_stiffness_refusals(factor, springs, error, match):
