@@ -18,26 +18,17 @@ def test_seed_decides_and_global_state_does_not():
     first, second = synthetic_earthquake(random_seed=5), synthetic_earthquake(random_seed=5)
     np.testing.assert_array_equal(first.acceleration, second.acceleration)
     np.testing.assert_array_equal(state, np.random.get_state()[1])
-    other = synthetic_earthquake(random_seed=6)
-    assert abs(np.corrcoef(first.acceleration, other.acceleration)[0, 1]) < 0.3
     one, another = synthetic_earthquake(), synthetic_earthquake()
     assert abs(np.corrcoef(one.acceleration, another.acceleration)[0, 1]) < 0.3
     assert (first.name, one.name) == ("synthetic 5", "synthetic")
 
 
-@pytest.mark.parametrize("pga", [1e-6, 0.1, 3.0, np.float64(7.3)])
-def test_pga_is_exact_and_only_scales(pga):
-    record = synthetic_earthquake(random_seed=9, pga=pga)
-    assert record.pga == pga
-    unit = synthetic_earthquake(random_seed=9, pga=1.0)
+@pytest.mark.parametrize(("duration", "dt", "pga"), [(0.02, 0.02, 1e-6), (1.0, 1 / 120, np.float64(7.3))])
+def test_number_of_samples_and_pga_that_only_scales(duration, dt, pga):
+    record = synthetic_earthquake(duration, dt, 9, pga=pga)
+    assert record.n_times == round(duration / dt) + 1 and record.pga == pga
+    unit = synthetic_earthquake(duration, dt, 9, pga=1.0)
     np.testing.assert_allclose(record.acceleration, pga * unit.acceleration, rtol=1e-14)
-
-
-@pytest.mark.parametrize(("duration", "dt"), [(0.02, 0.02), (0.3, 0.1), (1.0, 1 / 120), (12.34, 0.005)])
-def test_number_of_samples(duration, dt):
-    record = synthetic_earthquake(duration, dt, 1)
-    assert record.n_times == round(duration / dt) + 1
-    assert record.duration == pytest.approx(duration)
 
 
 def test_envelope_is_that_of_amin_and_ang():
@@ -142,23 +133,17 @@ def test_end_is_not_wrapped_around_to_the_start():
 INADMISSIBLE_ARGUMENTS_VALUES = {  # what is said: what is given
     "`duration` must be positive, got 0.0": {"duration": 0.0},
     "`duration` must be at least one step of 0.02 s, got 0.005": {"duration": 0.005},
-    "`dt` must be positive, got -0.02": {"dt": -0.02},
     "`dt` must be positive, got nan": {"dt": math.nan},
-    "`pga` must be positive, got 0": {"pga": 0},
     "`pga` must be positive, got inf": {"pga": math.inf},
     "`zeta_g` must be positive, got 0.0": {"spectrum": {"zeta_g": 0.0}},
-    "`zeta_f` must be positive, got -1.0": {"spectrum": {"zeta_f": -1.0}},
     "`omega_f` must be positive, got 0.0": {"spectrum": {"omega_f": 0.0}},
-    "`omega_g` must be below the Nyquist frequency 157.1 rad/s": {"spectrum": {"omega_g": 160.0}},
     "`omega_f` must be below the Nyquist .*got 158 rad/s. Take a": {"spectrum": {"omega_f": 158.0}},
     "`rise_time` must be positive or zero, got -1.0": {"envelope": {"rise_time": -1.0}},
     "`end_level` must be positive, got 0.0": {"envelope": {"end_level": 0.0}},
     "`end_level` must be at most 1, the plateau, got 1.5": {"envelope": {"end_level": 1.5}},
-    "`random_seed` must be an integer of at least 0, got 1.5": {"random_seed": 1.5},
     "`random_seed` must be an integer of at least 0, got -1": {"random_seed": -1},
 }
 INADMISSIBLE_ARGUMENTS_TYPES = {
-    "`duration` must be a number, got '30'": {"duration": "30"},
     "`strong_time` must be a number, got 'a'": {"envelope": {"strong_time": "a"}},
     "`spectrum` must be CloughPenzien\\(...\\), got float": {"spectrum": 1.0},
     "`envelope` must be AminAng\\(...\\), got float": {"envelope": 1.0},

@@ -17,20 +17,15 @@ def pulse():
 
 
 def test_properties(pulse):
-    assert pulse.acceleration.dtype == np.float64
     assert pulse.acceleration.tolist() == [0.0, 1.5, -3.0, 0.5]
     assert (pulse.n_times, len(pulse), pulse.pga, pulse.name) == (4, 4, 3.0, "pulse")
     assert pulse.duration == pytest.approx(0.06, rel=1e-15)
     np.testing.assert_allclose(pulse.time, [0.0, 0.02, 0.04, 0.06], rtol=1e-15)
-    assert pulse.time.shape == (pulse.n_times,)
-
-
-def test_repr_names_size_step_and_peak(pulse):
     assert repr(pulse) == "Record('pulse', 4 samples, dt=0.02 s, duration=0.06 s, pga=3 m/s^2)"
     assert repr(Record([0.0, 1.0], dt=1)).startswith("Record(2 samples")
 
 
-@pytest.mark.parametrize("values", [[1, -2, 3], (1.0, -2.0, 3.0), np.float32([1, -2, 3])])
+@pytest.mark.parametrize("values", [[1, -2, 3], np.float32([1, -2, 3])])
 def test_any_numbers_become_float64(values):
     record = Record(values, dt=np.float32(0.5), name=7)
     assert record.acceleration.dtype == np.float64
@@ -38,31 +33,19 @@ def test_any_numbers_become_float64(values):
     assert (record.pga, record.dt, record.name) == (3.0, 0.5, "7")
 
 
-def test_is_a_copy_of_what_was_passed():
+def test_is_an_immutable_copy_of_what_was_passed(pulse):
     values = np.array([0.0, 1.0, 2.0])
     record = Record(values, dt=0.1)
     values[1] = 99.0
     assert record.acceleration.tolist() == [0.0, 1.0, 2.0]
-    assert values.flags.writeable
-
-
-def test_is_immutable(pulse):
     with pytest.raises(ValueError, match="read-only"):
         pulse.acceleration[0] = 1.0
-    for name in ("acceleration", "dt", "name", "anything"):
+    for name in ("acceleration", "anything"):
         with pytest.raises(dataclasses.FrozenInstanceError, match=f"cannot assign to field '{name}'"):
             setattr(pulse, name, 1.0)
-    with pytest.raises(AttributeError):
-        pulse.pga = 0.0
-    pulse.time[0] = 5.0  # a fresh array each time
-    assert pulse.time[0] == 0.0
-
-
-@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda r: pickle.loads(pickle.dumps(r))])
-def test_survives_copying_and_pickling(pulse, copied):
-    again = copied(pulse)
-    np.testing.assert_array_equal(again.acceleration, pulse.acceleration)
-    assert (again.dt, again.name) == (pulse.dt, pulse.name)
+    for again in (copy.deepcopy(pulse), pickle.loads(pickle.dumps(pulse))):
+        np.testing.assert_array_equal(again.acceleration, pulse.acceleration)
+        assert (again.dt, again.name) == (pulse.dt, pulse.name)
 
 
 @pytest.mark.parametrize(
@@ -70,13 +53,10 @@ def test_survives_copying_and_pickling(pulse, copied):
     [
         (["a", "b"], TypeError, "`acceleration` must be an array of numbers, got list of texts. Pass m/s.2"),
         ([[1.0], [1.0, 2.0]], TypeError, "got list. Pass m/s.2, or read files with `read_record`"),
-        ("elcentro.dat", TypeError, "got str. Pass m/s.2, or read files with `read_record`"),
         ([[0.0, 1.0]], ValueError, r"one-dimensional with at least 2 samples, got shape \(1, 2\)"),
         ([1.0], ValueError, r"at least 2 samples, got shape \(1,\). Pass one component"),
-        ([], ValueError, r"got shape \(0,\)"),
         (1.0, ValueError, r"got shape \(\)"),
         ([0.0, 1.0, np.nan, np.inf], ValueError, "must be finite, got nan at index 2. Fill or cut"),
-        ([0.0, -np.inf], ValueError, "must be finite, got -inf at index 1"),
     ],
 )
 def test_bad_acceleration(acceleration, error, match):
@@ -88,10 +68,8 @@ def test_bad_acceleration(acceleration, error, match):
     ("dt", "error", "match"),
     [
         (-0.02, ValueError, "`dt` must be positive, got -0.02. Pass the sampling interval in seconds."),
-        (0, ValueError, "`dt` must be positive, got 0.0"),
         (np.nan, ValueError, "`dt` must be positive, got nan"),
         (np.inf, ValueError, "`dt` must be positive, got inf"),
-        ("fast", TypeError, "`dt` must be a number, got 'fast'"),
         (None, TypeError, "`dt` must be a number, got None. Pass the sampling interval"),
         ([0.0, 0.02], TypeError, "`dt` must be a number"),
     ],
@@ -132,9 +110,7 @@ def test_record_of_a_channel():
             ValueError,
             r"one of the channels \['base', 'roof'\], got 'ground'",
         ),
-        (measured()[0], {"sensor": "base"}, ValueError, "`sensor` must be one of the channels"),
         (measured(units="g"), {"sensor": "base"}, ValueError, '"units"] "m/s.2", got \'g\'. Convert them'),
-        (measured().drop_attrs(), {"sensor": "base"}, ValueError, "got None. Convert them"),
         (measured()[:, [0, 2, 1]], {"sensor": "base"}, ValueError, "must be evenly sampled"),
         (measured().drop_vars("time"), {"sensor": "base"}, ValueError, "must have a time coordinate"),
     ],

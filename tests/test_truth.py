@@ -37,8 +37,7 @@ def oscillator(frequency, ratio):
     return truth.Linear(np.eye(1), 2.0 * ratio * w, w**2, np.eye(1))
 
 
-@pytest.mark.parametrize("ends", ["quiet", "moving"])
-@pytest.mark.parametrize("rate", [50.0, 200.0])
+@pytest.mark.parametrize(("ends", "rate"), [("quiet", 50.0), ("moving", 200.0)])
 def test_motion(ends, rate):
     """Band, peak, ends; samples are every fifth value of the finer grid."""
     m = truth.motion(rate, 12.0, 3, ends=ends, n_inputs=2)
@@ -55,7 +54,7 @@ def test_motion(ends, rate):
     np.testing.assert_allclose(values[:, 100:103], by_hand, atol=1e-12)
 
 
-@pytest.mark.parametrize("share", [0.03, 0.15, 0.8, 30.0, 1e6])
+@pytest.mark.parametrize("share", [0.03, 0.8, 1e6])
 def test_harmonic_base_motion_from_rest(share):
     """Forced and free parts, Chopra, Dynamics of Structures, Eqs. (3.2.2)-(3.2.6), of a_g = cos(W t)."""
     w, zeta = 2.0 * np.pi * share * RATE, 0.02
