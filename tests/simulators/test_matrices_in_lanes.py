@@ -1,4 +1,6 @@
-"""Matrices of many structures in vector lanes: eigenvalues alone, products, and the sign of damping."""
+"""Vector lanes: eigenvalues of many matrices, the sign of damping, and steps of a lone structure's modes."""
+
+import itertools
 
 import numpy as np
 import pytest
@@ -7,12 +9,26 @@ from scipy.linalg import eigh_tridiagonal
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.matrices import (
-    filled_places,
     is_never_negative,
-    multiply_lanes,
-    multiply_sparse,
 )
 from pymc_features.simulators.eigen.tridiagonal import values_of_lanes
+from pymc_features.simulators.oscillators.table import (
+    N_ROWS,
+    OUT_P,
+    OUT_Q,
+    P_NEXT,
+    P_NOW,
+    P_P,
+    P_Q,
+    Q_NEXT,
+    Q_NOW,
+    Q_P,
+    Q_Q,
+    advance,
+    scale_input,
+    whole_vectors,
+    write_table,
+)
 from support.linear import noise, spring_chain
 
 
@@ -38,8 +54,7 @@ def tridiagonals(n):
     return diagonal[:LANES], beside[:LANES]
 
 
-@pytest.mark.parametrize("scale", [1.0, 1e12, 1e-12])
-@pytest.mark.parametrize("n", [2, 3, 10, 40])
+@pytest.mark.parametrize(("n", "scale"), [(2, 1.0), (3, 1e-12), (10, 1.0), (40, 1e12)])
 def test_values_without_roots(n, scale):
     """Of matrices of any kind side by side: 1e-15 times n of the largest value."""
     diagonal, beside = (scale * a for a in tridiagonals(n))
@@ -52,39 +67,10 @@ def test_values_without_roots(n, scale):
         )
 
 
-def test_values_that_are_no_numbers():
-    """A lane with NaN, which it keeps, does not hold up the others."""
-    values, beside = in_lanes([np.array([2.0, 3.0, 1.0])] * LANES), in_lanes([np.ones(3)] * LANES)
-    values[1, 0] = np.nan
-    assert values_of_lanes(values, beside)
-    exact = eigh_tridiagonal([2.0, 3.0, 1.0], np.ones(2), eigvals_only=True)
-    np.testing.assert_allclose(np.sort(values[:, 1]), exact, rtol=1e-14)
-    assert np.isnan(values[:, 0]).any()
-
-
-@pytest.mark.parametrize("n", [1, 4, 6, 9])
-def test_products(n):
-    """L C of a banded C, and half of the symmetric product L C L', as NumPy has them."""
-    m = n + 1
-    stack = np.array([spring_chain(n, 2.0).toarray().ravel(), np.diag(np.eye(n)[0]).ravel()])
-    matrices = [(stack[0] + lane * stack[1]).reshape(n, n) for lane in range(LANES)]
-    left = [noise(lane, (m, n)) for lane in range(LANES)]
-    x, half, out = in_lanes(left), new_vectors(m * n), new_vectors(m * m)
-    places = filled_places(stack, n)
-    assert places[1].size == 3 * n - 2
-    multiply_sparse((x, n, 1), in_lanes(matrices), places, (m, n), half)
-    multiply_lanes((half, n, 1), (x, 1, n), (m, n, m), out, False)
-    for lane in range(LANES):
-        along = left[lane] @ matrices[lane]
-        np.testing.assert_allclose(half[:, lane].reshape(m, n), along, atol=1e-13)
-        np.testing.assert_allclose(out[:, lane].reshape(m, m), along @ left[lane].T, atol=1e-12)
-
-
 DEFINITE = spring_chain(4, 2.0).toarray()
 SIGNS = {
     "definite": ([DEFINITE], True),
     "one dashpot": ([np.diag([0.0, 0.0, 2.0, 0.0])], True),
-    "none": ([np.zeros((4, 4))], True),
     "free, in doubt": ([spring_chain(4, 2.0, free=True).toarray()], False),
     "negative": ([DEFINITE - np.diag([0.0, 0.0, 0.0, 2.0])], False),
     "zero with neighbours": ([np.array([[0.0, 1.0], [1.0, 2.0]])], False),
@@ -98,3 +84,37 @@ def test_damping_that_is_never_negative(stack, expected):
     """Only of a C that is the same for all, and where rounding leaves no doubt."""
     n = len(stack[0])
     assert is_never_negative(np.array(stack).reshape(len(stack), -1), n) == expected
+
+
+BEHIND = np.full(2 * LANES, 7.0)  # what must not be written to
+
+
+def stepped(rows, q, p, ground):
+    """States q and p of all modes after the steps between samples of the excitation."""
+    for now, after in itertools.pairwise(ground):
+        load_q, load_p = rows[[Q_NOW, P_NOW]] * now + rows[[Q_NEXT, P_NEXT]] * after
+        q, p = rows[Q_Q] * q + rows[Q_P] * p + load_q, rows[P_Q] * q + rows[P_P] * p + load_p
+    return q, p
+
+
+@pytest.mark.parametrize("n_modes", [1, LANES, 3 * LANES - 1])
+def test_modes_in_vectors(n_modes):
+    """Outputs of two inputs; nothing is written behind states and outputs."""
+    rng, width, count, stride = np.random.default_rng(n_modes), whole_vectors(n_modes), 7, 3
+    room = np.append(np.zeros(count * n_modes + LANES), BEHIND)
+    outputs, expected = room[: count * n_modes].reshape(count, n_modes), np.zeros((count, n_modes))
+    for i in range(2):
+        table, ground = np.zeros((N_ROWS, width)), rng.standard_normal(count * stride + 1)
+        write_table(rng.uniform(1.0, 50.0, n_modes), rng.uniform(0.0, 3.0, n_modes), 0.01, 0, table)
+        scale_input(table, rng.standard_normal(n_modes))
+        rows, q, p = table[:, :n_modes], np.zeros(n_modes), np.zeros(n_modes)
+        whole = np.append(np.zeros(2 * width), BEHIND)
+        states = whole[: 2 * width].reshape(2, width)
+        advance(table, i == 0, states, ground, stride, count, outputs)
+        for b in range(count):
+            expected[b] += rows[OUT_Q] * q + rows[OUT_P] * p
+            q, p = stepped(rows, q, p, ground[b * stride : (b + 1) * stride + 1])
+        np.testing.assert_allclose(states[:, :n_modes], [q, p], rtol=1e-11, atol=1e-13)
+        assert (states[:, n_modes:] == 0.0).all() and (whole[2 * width :] == BEHIND).all()
+    np.testing.assert_allclose(outputs, expected, rtol=1e-11, atol=1e-11 * np.abs(expected).max())
+    assert (room[-BEHIND.size :] == BEHIND).all()
