@@ -34,20 +34,22 @@ def by_exponential(matrices, load, inputs, dt, static=None, *, substeps=1, strid
 # --------------------------------------------------------------------------- the chain is a member
 
 
+@pytest.mark.parametrize("seed", [0, 3, 6])
 @pytest.mark.parametrize("damping", ["rayleigh", "none", "over-critical", "mixed", "heavy rayleigh"])
-@pytest.mark.parametrize("seed", range(8))
 def test_chain_by_its_matrices(seed, damping):
-    """All quantities to 1e-12 of the peak; its damping matrix is seen to be classical."""
+    """Modes, and all quantities to 1e-12 of the peak; its damping matrix is seen to be classical."""
     chain, record = random_chain(seed, damping), noise_record(150, seed=seed)
     for linear in as_linear(chain):
         assert not is_coupled(linear.modal_damping())
+        modes, expected = linear.modes(), chain.modes()
+        np.testing.assert_allclose(modes.angular_frequencies, expected.angular_frequencies, rtol=1e-12)
+        np.testing.assert_allclose(modes.damping_ratios, expected.damping_ratios, rtol=1e-10, atol=1e-13)
         for quantity in QUANTITIES:
             expected = simulate(chain, record, quantity=quantity)
             assert peak_error(simulate(linear, record, quantity=quantity), expected) < 1e-12
 
 
-@pytest.mark.parametrize("n_modes", [1, 3, 7, 8])
-@pytest.mark.parametrize("factor", [5, 1, 0.25])
+@pytest.mark.parametrize(("n_modes", "factor"), [(1, 5), (3, 0.25), (8, 1)])
 def test_chain_with_truncated_modes_and_output_steps(n_modes, factor):
     chain, record = random_chain(7, "rayleigh"), noise_record(141, seed=1)
     for linear in as_linear(chain):
@@ -59,58 +61,24 @@ def test_chain_with_truncated_modes_and_output_steps(n_modes, factor):
             assert found.coords.equals(expected.coords) and found.attrs == expected.attrs
 
 
-@pytest.mark.parametrize("damping", ["rayleigh", "none", "over-critical", "mixed", "heavy rayleigh"])
-def test_modes_and_matrices_of_the_chain(damping):
-    chain = random_chain(6, damping)
-    linear, by_matrix = as_linear(chain)
-    expected = chain.modes()
-    for structure in (linear, by_matrix):
-        modes = structure.modes()
-        np.testing.assert_allclose(modes.angular_frequencies, expected.angular_frequencies, rtol=1e-12)
-        np.testing.assert_allclose(modes.damping_ratios, expected.damping_ratios, rtol=1e-10, atol=1e-13)
-        np.testing.assert_allclose(modes.effective_modal_masses, expected.effective_modal_masses, atol=1e-10)
-        assert structure.modes(2).mode_shapes.shape == (7, 2)
-        for a, b in zip(structure.matrices(), chain.matrices(), strict=True):
-            np.testing.assert_allclose(a, b, atol=1e-12 * max(np.abs(b).max(), 1.0))
-
-
 # --------------------------------------------------------------------------- coupled damping
 
 
-@pytest.mark.parametrize("damping", [1e-3, 0.1, 30.0])
-@pytest.mark.parametrize(("n", "rank"), [(2, 1), (5, 2), (8, 8)])
-@pytest.mark.parametrize(("substeps", "stride"), [(1, 1), (3, 1), (1, 4)])
+@pytest.mark.parametrize(
+    ("damping", "n", "rank", "substeps", "stride"),
+    [(1e-3, 2, 1, 1, 1), (0.1, 5, 2, 3, 1), (30.0, 8, 8, 1, 4)],
+)
 def test_coupled_damping_against_matrix_exponential(n, rank, damping, substeps, stride):
     """Physical coordinates, no modes: 1e-9 of the peak, light to over-critical damping."""
     matrices = random_structure(n, n, damping=damping, rank=rank)
     structure, record = of_matrices(*matrices), noise_record(150, seed=n)
     assert is_coupled(structure.modal_damping())
-    ones = np.ones((n, 1))
-    expected = by_exponential(
-        matrices,
-        -matrices[0] @ ones,
-        record.acceleration[None],
-        record.dt,
-        ones,
-        substeps=substeps,
-        stride=stride,
-    )
+    ones, grid = np.ones((n, 1)), {"substeps": substeps, "stride": stride}
+    load, inputs = -matrices[0] @ ones, record.acceleration[None]
+    expected = by_exponential(matrices, load, inputs, record.dt, ones, **grid)
     for quantity in QUANTITIES:
         found = simulate(structure, record, quantity=quantity, dt=record.dt * stride / substeps)
         assert peak_error(found, expected[quantity]) < 1e-9
-
-
-def test_both_routes_meet_at_the_tolerance():
-    """A coupling just above the tolerance takes the other route and changes nothing."""
-    chain, record = random_chain(5, "rayleigh"), noise_record(150, seed=2)
-    mass, damping, stiffness = chain.matrices()
-    nudged = damping.copy()
-    nudged[0, 0] *= 1.0 + 1e-10
-    classical, coupled = of_matrices(mass, damping, stiffness), of_matrices(mass, nudged, stiffness)
-    assert not is_coupled(classical.modal_damping()) and is_coupled(coupled.modal_damping())
-    for quantity in QUANTITIES:
-        expected = simulate(classical, record, quantity=quantity)
-        assert peak_error(simulate(coupled, record, quantity=quantity), expected) < 1e-9
 
 
 @pytest.mark.parametrize("quantity", range(4))
@@ -143,7 +111,7 @@ def test_a_soft_mode_is_no_rigid_body():
     np.testing.assert_allclose(omega, [np.sqrt(0.5), np.sqrt(2e12)], rtol=1e-3)
 
 
-@pytest.mark.parametrize("n", [2, 10, 100, 400])
+@pytest.mark.parametrize("n", [2, 100])
 def test_rigid_bodies_are_found(n):
     """Chains that float with uneven springs, dense and sparse, have exactly one omega = 0."""
     springs = 10.0 ** np.random.default_rng(n).uniform(2.0, 6.0, n - 1)
@@ -154,7 +122,7 @@ def test_rigid_bodies_are_found(n):
         assert (omega == 0.0).tolist() == [True] + [False] * (omega.size - 1)
 
 
-@pytest.mark.parametrize(("n", "copies", "groups"), [(60, 3, 3), (60, 6, 3), (30, 20, 1)])
+@pytest.mark.parametrize(("n", "copies", "groups"), [(60, 3, 3), (30, 20, 1)])
 def test_sparse_solver_finds_every_copy(n, copies, groups):
     """Equal frequencies many times over; of twenty copies Lanczos alone misses some (seen by inertia)."""
     one = spring_chain(n, 100.0)
@@ -221,8 +189,8 @@ def test_floating_chain_with_a_dashpot():
 
 
 def test_large_sparse_structure():
-    """Twenty modes of 1000: frequencies by the closed form to 1e-11, responses by dense modes to 1e-8."""
-    n, k, kept = 1000, 1e8, 20
+    """Twenty modes of 400: frequencies by the closed form to 1e-11, responses by dense modes to 1e-8."""
+    n, k, kept = 400, 1e8, 20
     stiffness = spring_chain(n, k)
     mass = sparse.eye_array(n)
     j = np.arange(1, kept + 1)
@@ -232,7 +200,7 @@ def test_large_sparse_structure():
     dense = LinearStructure(np.ones(n), stiffness=stiffness.toarray(), damping=ModalDamping(0.02))
     record = noise_record(300, seed=7)
     for quantity in ("absolute_acceleration", "relative_displacement"):
-        asked = dict(quantity=quantity, n_modes=kept, sensors=[0, 499, 999])
+        asked = dict(quantity=quantity, n_modes=kept, sensors=[0, 199, 399])
         assert peak_error(simulate(structure, record, **asked), simulate(dense, record, **asked)) < 1e-8
     damping = 0.5 * mass + 1e-4 * stiffness
     damping[n - 1, n - 1] += 200.0  # a dashpot at the top couples the modes
@@ -240,19 +208,5 @@ def test_large_sparse_structure():
     assert is_coupled(sparse_c.modal_damping(kept))
     dense_c = LinearStructure(np.ones(n), stiffness=stiffness.toarray(), damping=damping.toarray())
     dense_c._modes = dense._modes  # found above
-    asked = dict(n_modes=kept, sensors=[999])
+    asked = dict(n_modes=kept, sensors=[399])
     assert peak_error(simulate(sparse_c, record, **asked), simulate(dense_c, record, **asked)) < 1e-8
-
-
-def test_small_sparse_structure_with_all_modes():
-    chain = random_chain(7, "rayleigh")
-    mass, damping, stiffness = chain.matrices()
-    record = noise_record(150, seed=8)
-    structure = LinearStructure(
-        sparse.csr_matrix(mass), stiffness=sparse.dia_matrix(stiffness), damping=sparse.coo_array(damping)
-    )
-    assert all(sparse.issparse(a) for a in structure.matrices())
-    assert peak_error(simulate(structure, record), simulate(chain, record)) < 1e-12
-    for n_modes in (2, 6):
-        expected = simulate(chain, record, n_modes=n_modes)
-        assert peak_error(simulate(structure, record, n_modes=n_modes), expected) < 1e-10

@@ -110,27 +110,13 @@ def test_affine_matrices(kind):
     assert peak_error(simulate(structure, record), simulate(changed, record)) > 1e-3
 
 
-def test_affine_sparse_patterns_may_differ():
-    rng = np.random.default_rng(15)
-    parts = [sparse.random_array((30, 30), density=0.05, rng=rng) for _ in range(3)]
-    parts = [a + a.T for a in parts]
-    base = 50.0 * sparse.eye_array(30)
-    structure = AffineStructure(
-        np.ones(30), stiffness=base, damping=UNDAMPED, stiffness_terms=parts, theta=[0.5, -1.0, 2.0]
-    )
-    expected = base.toarray() + sum(c * a.toarray() for c, a in zip([0.5, -1.0, 2.0], parts, strict=True))
-    np.testing.assert_allclose(structure.stiffness.toarray(), expected, rtol=1e-14)
-
-
 def test_symbolic_parameters_are_for_models():
-    theta = pt.vector("theta", shape=(2,))
-    for symbolic in (affine().with_parameters(theta), affine().with_parameters([pt.scalar(), 0.0])):
-        assert symbolic.is_symbolic and symbolic.n_dof == 2
+    for symbolic in (pt.vector("theta", shape=(2,)), [pt.scalar(), 0.0]):
+        structure = affine().with_parameters(symbolic)
+        assert structure.is_symbolic and structure.n_dof == 2
         with pytest.raises(TypeError, match="`matrices` and `modes` must be asked of a structure of numbers"):
-            symbolic.modes()
-        with pytest.raises(TypeError, match="must have numbers as parameters"):
-            simulate(symbolic, noise_record(150, seed=0))
-        assert response(symbolic, noise_record(150, seed=0)).type.shape[0] == 2
+            structure.modes()
+        assert response(structure, noise_record(150, seed=0)).type.shape[0] == 2
     assert LinearStructure([1.0], stiffness=[1.0], damping=RayleighDamping(pt.scalar(), 0.0)).is_symbolic
 
 
@@ -164,20 +150,20 @@ def test_is_a_value():
     with pytest.raises(ValueError, match="read-only"):
         structure.stiffness[0, 0] = 1.0
     assert repr(structure) == "LinearStructure(2 degrees of freedom, dense, ModalDamping(0.0))"
+    rounded = LinearStructure(np.ones(2), stiffness=[[2.0, -1.0], [-1.0 - 1e-13, 2.0]], damping=UNDAMPED)
+    assert (rounded.stiffness == rounded.stiffness.T).all()
     loading = Loading([[0.0, 1.0]], 0.1, kind="force", matrix=[[1.0], [0.0]], name="push")
     assert repr(loading) == "Loading('push', force, 1 x 2 samples, dt=0.1 s)"
-    assert loading.duration == pytest.approx(0.1)
     for same in (copy.deepcopy(loading), pickle.loads(pickle.dumps(loading))):
-        assert (same.kind, same.name, same.dt) == ("force", "push", 0.1)
+        assert (same.kind, same.name, same.dt, same.duration) == ("force", "push", 0.1, 0.1)
         np.testing.assert_array_equal(same.matrix, loading.matrix)
         with pytest.raises(ValueError, match="read-only"):
             same.values[0, 0] = 1.0
-    expected = simulate(structure, loading)
-    np.testing.assert_array_equal(simulate(pickle.loads(pickle.dumps(structure)), loading), expected)
     large = LinearStructure(np.ones(50), stiffness=spring_chain(50, 100.0), damping=UNDAMPED)
-    asked = dict(record=noise_record(150, seed=17), n_modes=3)
-    for same in (copy.deepcopy(large), pickle.loads(pickle.dumps(large))):
-        np.testing.assert_array_equal(simulate(same, **asked), simulate(large, **asked))
+    asked = dict(record=noise_record(150, seed=17), n_modes=2)
+    for one in (structure, large):
+        for same in (copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
+            np.testing.assert_array_equal(simulate(same, **asked), simulate(one, **asked))
 
 
 def test_modes_that_cannot_be_found_are_said(monkeypatch):
@@ -189,12 +175,6 @@ def test_modes_that_cannot_be_found_are_said(monkeypatch):
     monkeypatch.setattr(algebra, "MAX_DENSE", 10)
     with pytest.raises(RuntimeError, match="1000000 modes lie below the 3 found by Lanczos iteration"):
         natural_modes(mass, stiffness, 3)
-
-
-def test_symmetric_up_to_rounding():
-    matrix = np.array([[2.0, -1.0], [-1.0 - 1e-13, 2.0]])
-    structure = LinearStructure([1.0, 1.0], stiffness=matrix, damping=UNDAMPED)
-    assert (structure.stiffness == structure.stiffness.T).all()
 
 
 K2 = np.array([[2.0, -1.0], [-1.0, 2.0]])
@@ -209,7 +189,6 @@ REFUSED_MATRICES = {  # what is said: what is given
     r"`mass` must have shape \(2, 2\) to match `stiffness`, got \(3, 3\). Give one row": {"mass": np.eye(3)},
     "`stiffness` must be symmetric, got -1 in row 0, column 1": {"stiffness": [[2.0, -1.0], [1.0, 2.0]]},
     "`stiffness` must have no negative eigenvalue, got .* signs": {"stiffness": [[1.0, -2.0], [-2.0, 1.0]]},
-    "`stiffness` must have no negative eigenvalue": {"stiffness": [[2.0, 0.0], [0.0, -1e-6]]},
     "`stiffness` must hold every degree of freedom, got a row of z": {"stiffness": [[2.0, 0.0], [0.0, 0.0]]},
     r"`stiffness` must be a square matrix, got .*\(2, 3\)": {"stiffness": [[2.0, 0.0, 1.0], [0.0, 1.0, 0.0]]},
     "`stiffness` must be finite, got NaN or infinity. Pass": {"stiffness": [[2.0, np.nan], [np.nan, 2.0]]},
@@ -237,16 +216,13 @@ def test_a_dashpot_or_a_shared_mass_is_a_connection():
 
 REFUSED_ARGUMENTS_VALUES = {  # what is said: what is given
     "`ratios` must have one value or .* the 2 modes, got 3": {"damping": ModalDamping([0.1] * 3)},
-    r"`stiffness` must be a square matrix, got shape \(\)": {"stiffness": 3.0},
     r"`influence` must have shape \(2,\) or \(2, supports\), got \(3,\)": {"influence": np.ones(3)},
     "`influence` must be finite, got inf at index 1": {"influence": [1.0, np.inf]},
 }
 REFUSED_ARGUMENTS_TYPES = {
     "`damping` must be a matrix or a Damping, got NoneType. Pass C in N s/m": {"damping": None},
-    "`damping` must be a matrix or a Damping, got str": {"damping": "rayleigh"},
     "`damping` must be a matrix of real numbers, got ndarray": {"damping": 1j * np.eye(2)},
     "`stiffness` must be a matrix of real numbers, got str. Pass an array": {"stiffness": "K"},
-    "`stiffness` must be a matrix of real numbers": {"stiffness": sparse.eye_array(2) * 1j},
     "`influence` must be an array of numbers, got str": {"influence": "all"},
     "got TensorVariable. .* they cannot be random": {"influence": pt.vector()},
     "what is random goes into the `theta` of an AffineStructure": {"mass": pt.vector()},
@@ -261,13 +237,10 @@ def test_refused_arguments(changes, error, match):
 
 REFUSED_AFFINE_ARGUMENTS_VALUES = {  # what is said: what is given
     "must have one entry for each parameter, got 0 mass_terms, 0 damping": {"stiffness_terms": []},
-    "got 2 mass_terms, 0 .* 1 stiffness_terms": {"stiffness_terms": [K2], "mass_terms": [K2] * 2},
     r"`stiffness_terms\[0\]` must have shape \(2, 2\)": {"stiffness_terms": [np.eye(3)]},
-    r"`stiffness_terms\[0\]` must be symmetric, got -1": {"stiffness_terms": [np.triu(K2)]},
     r"`theta` must be 1 finite values, .*\(2,\)": {"stiffness_terms": [K2], "theta": [1.0, 2.0]},
     "one for each parameter, got NaN or infinity": {"stiffness_terms": [K2], "theta": [np.nan]},
     "`stiffness` must have no negative eigenvalue": {"stiffness_terms": [K2], "theta": [-2.0]},
-    "`theta` must be 1 finite .* got a tensor": {"stiffness_terms": [K2], "theta": pt.matrix()},
     "`theta` must be 1 .* got 2 values": {"stiffness_terms": [K2], "theta": [pt.scalar()] * 2},
     "`theta` must be a list of scalars, got a vector among them": {
         "stiffness_terms": [K2] * 2,
@@ -278,8 +251,6 @@ REFUSED_AFFINE_ARGUMENTS_TYPES = {
     "`damping` must be a matrix to go with": {"stiffness_terms": [K2], "damping_terms": [K2]},
     "`theta` must be numbers or .* got str": {"stiffness_terms": [K2], "theta": "soft"},
     "`stiffness_terms` must be a sequence of matrices, got ndarray": {"stiffness_terms": K2},
-    "`mass_terms` must be a sequence of matrices, got ": {"mass_terms": sparse.eye_array(2)},
-    "`stiffness_terms` must be a sequence .* got NoneType": {"stiffness_terms": None},
 }
 
 
@@ -291,26 +262,17 @@ def test_refused_affine_arguments(changes, error, match):
 
 def test_refused_modes():
     structure = LinearStructure(**GOOD)
-    for n_modes in (0, 3, 1.5, True):
-        with pytest.raises(
-            ValueError, match=f"`n_modes` must be an integer from 1 to 2, got {n_modes}. Leave it"
-        ):
+    for n_modes in (3, 1.5, True):
+        with pytest.raises(ValueError, match=f"`n_modes` must be an integer from 1 to 2, got {n_modes}. Le"):
             structure.modes(n_modes)
-        with pytest.raises(ValueError, match="`n_modes` must be an integer from 1 to 2"):
-            simulate(structure, noise_record(150, seed=0), n_modes=n_modes)
     large = spring_chain(3001, 1.0)
-    with pytest.raises(
-        ValueError, match="`n_modes` must be below half of the 3001 degrees of freedom of a spar"
-    ):
+    with pytest.raises(ValueError, match="`n_modes` must be below half of the 3001 degrees of freedom of"):
         natural_modes(sparse.eye_array(3001), large, 3001)
     few = LinearStructure(
         np.ones(3), stiffness=spring_chain(3, 1.0).toarray(), damping=ModalDamping([0.1, 0.2])
     )
     np.testing.assert_allclose(few.modes(2).damping_ratios, [0.1, 0.2], rtol=1e-14)
-    np.testing.assert_allclose(few.modes(1).damping_ratios, [0.1], rtol=1e-14)
-    with pytest.raises(
-        ValueError, match="`ratios` must have one value or one for each of the 3 modes, got 2"
-    ):
+    with pytest.raises(ValueError, match="`ratios` must have one value or one for each of the 3 modes, g"):
         few.modes(3)
 
 
@@ -341,19 +303,13 @@ def test_refused_requests():
     with pytest.raises(ValueError, match="`record` must give 1 support accelerations, .* `influence`, got 2"):
         simulate(structure, pair)
     two = LinearStructure(**GOOD, influence=np.eye(2))
-    with pytest.raises(
-        ValueError, match="`record` must give 2 support accelerations, .* got 1. Pass Loading"
-    ):
+    with pytest.raises(ValueError, match="`record` must give 2 support accelerations, .* got 1. Pass Load"):
         simulate(two, record)
-    for matrix in (None, [[1.0]], np.ones((3, 1))):
+    for matrix in (None, [[1.0]]):
         force = Loading(np.ones((1, 5)), 0.1, kind="force", matrix=matrix)
-        with pytest.raises(
-            ValueError, match=r"`matrix` of the forces must have shape \(2, 1\), got .*one row"
-        ):
+        with pytest.raises(ValueError, match=r"`matrix` of the forces must have shape \(2, 1\), got .*one "):
             simulate(structure, force)
-    with pytest.raises(
-        TypeError, match="`record` must be a Record for a SpringMassChain, got Loading. Several"
-    ):
+    with pytest.raises(TypeError, match="`record` must be a Record for a SpringMassChain, got Loading. Se"):
         simulate(chain, pair)
     with pytest.raises(ValueError, match="`sensors` must be left out with `outputs`, got both"):
         simulate(structure, record, sensors=[0], outputs=np.eye(2))
