@@ -43,11 +43,8 @@ def by_hand(structure, quantity, **settings):
 
 @pytest.mark.parametrize("structure", CHAINS, ids=lambda s: type(s).__name__)
 @pytest.mark.parametrize("dt", [None, 0.01, 0.06])
-@pytest.mark.parametrize("n_modes", [None, 2])
-def test_drift_and_shear_by_hand(structure, dt, n_modes):
-    if n_modes and not structure.is_linear:
-        n_modes = None
-    settings = {"dt": dt, "n_modes": n_modes}
+def test_drift_and_shear_by_hand(structure, dt):
+    settings = {"dt": dt, "n_modes": 2 if structure.is_linear and dt else None}
     drift = simulate(structure, SHAKE, quantity="inter_storey_drift", **settings)
     expected = by_hand(structure, "inter_storey_drift", **settings)
     assert peak_error(drift, expected) < 1e-12
@@ -82,8 +79,7 @@ def test_nonlinear_drifts_are_those_of_the_springs():
         assert peak_error(drift, spring_forces(structure, SHAKE)["drift"]) < 1e-12
 
 
-@pytest.mark.parametrize("kind", [np.asarray, sparse.csc_array], ids=["dense", "sparse"])
-@pytest.mark.parametrize("n_modes", [None, 1])
+@pytest.mark.parametrize(("kind", "n_modes"), [(np.asarray, 1), (sparse.csc_array, None)])
 def test_shear_of_a_chain_by_its_matrices(kind, n_modes):
     for chain in CHAINS[:2]:
         mass, damping, stiffness = chain.matrices()
@@ -154,7 +150,6 @@ REFUSED_VALUES = {  # what is said: what is given
         {"quantity": "inter_storey_drift"},
     ),
     "`quantity` must be one of .*base_shear, got 'shear'": (CHAINS[0], {"quantity": "shear"}),
-    "`quantity` must be one of .*, got 3": (CHAINS[0], {"quantity": 3}),
     r"`sensors` must be left out for the base shear, got \[1\]. It is a sum": (
         CHAINS[2],
         {"quantity": "base_shear", "sensors": [1]},
@@ -167,21 +162,14 @@ REFUSED_VALUES = {  # what is said: what is given
         coupled(),
         {"quantity": "base_shear", "outputs": np.eye(4)},
     ),
-    "`sensors` must lie between": (CHAINS[0], {"quantity": "inter_storey_drift", "sensors": [4]}),
     r"`matrix` of the forces must have shape \(4, 3\), got none": (
         coupled(),
         {"quantity": "base_shear", "record": Loading(np.ones((3, 9)), 0.1, kind="force")},
     ),
 }
-REFUSED_TYPES = {
-    "`record` must be a Record for a SpringMassChain, got Loading": (
-        CHAINS[0],
-        {"quantity": "base_shear", "record": Loading(np.ones((4, 9)), 0.1, kind="force")},
-    )
-}
 
 
-@refusals("structure arguments", REFUSED_VALUES, REFUSED_TYPES)
-def test_refusals(structure, arguments, error, match):
-    with pytest.raises(error, match=match):
+@refusals("structure arguments", REFUSED_VALUES)
+def test_refusals(structure, arguments, match):
+    with pytest.raises(ValueError, match=match):
         simulate(structure, **({"record": SHAKE} | arguments))
