@@ -4,7 +4,6 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipkinc
 
 from pymc_features import (
@@ -27,6 +26,7 @@ from support.kernels import flat_kernels
 from support.refusals import refusals
 from support.straight import Record
 from support.structures import peak_error
+from support.yielding import tight_solution
 
 RAYLEIGH = RayleighDamping(0.2, 1e-3)
 
@@ -55,38 +55,6 @@ def smooth_record(n_times=60):
     return Record(6.0 * np.sin(np.arange(n_times) * 0.16), 0.02)
 
 
-def forces_and_rates(structure, drift, rate, z):
-    """The laws as they are written in the docstrings, with arrays over the springs."""
-    k = structure.stiffness
-    if isinstance(structure, DuffingChain):
-        return k * drift + structure.cubic * drift**3, np.zeros_like(z)
-    a, dy = structure.post_yield_ratio, structure.yield_displacement
-    loss = structure.gamma + structure.beta * np.sign(rate * z)
-    return a * k * drift + (1 - a) * k * dy * z, rate / dy * (1 - np.abs(z) ** structure.sharpness * loss)
-
-
-def reference(structure, record):
-    """(quantity, sensor, time) by SciPy at tight tolerances, started anew at each sample of the record."""
-    matrix_m, matrix_c, _ = structure.matrices()
-    mass, n = np.diag(matrix_m), structure.n_dof
-
-    def slope(t, y, ground, trend):
-        u, v, z = y.reshape(3, n)
-        force, z_rate = forces_and_rates(structure, np.diff(u, prepend=0), np.diff(v, prepend=0), z)
-        restoring = force - np.append(force[1:], 0.0) + matrix_c @ v
-        return np.concatenate([v, -restoring / mass - (ground + trend * t), z_rate])
-
-    states = [np.zeros(3 * n)]
-    for now, after in zip(record.acceleration[:-1], record.acceleration[1:], strict=True):
-        arguments = (now, (after - now) / record.dt)
-        options = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-14}
-        states.append(solve_ivp(slope, (0, record.dt), states[-1], args=arguments, **options).y[:, -1])
-    y = np.array(states).T
-    slopes = [slope(0.0, s, a, 0.0) for s, a in zip(states, record.acceleration, strict=True)]
-    relative = np.array(slopes).T[n : 2 * n]
-    return dict(zip(QUANTITIES, (relative + record.acceleration, relative, y[n : 2 * n], y[:n]), strict=True))
-
-
 def histories(structure, record, refine=1, quantities=(0, 3)):
     """Histories (quantity, sensor, time), with the steps divided by `refine`."""
     law, sensors = NONLINEAR[structure.family], np.arange(structure.n_dof)
@@ -109,8 +77,6 @@ def growing_record(n_times):
 
 CASES = {
     "bouc-wen": (bouc_wen(), noise_record()),
-    "bouc-wen, one mass": (bouc_wen(1), noise_record(1)),
-    "bouc-wen, free": (bouc_wen(), pulse_record()),
     "bouc-wen, one mass, free": (bouc_wen(1), pulse_record()),
     "n = 1": (bouc_wen(sharpness=1.0), noise_record(2)),
     "n = 3.5, modal damping": (
@@ -129,8 +95,6 @@ CASES = {
         noise_record(5),
     ),
     "duffing": (duffing(), noise_record()),
-    "duffing, one mass": (duffing(1), noise_record(1)),
-    "duffing, free": (duffing(), pulse_record()),
     "duffing, one mass, free": (duffing(1, cubic=1e7), pulse_record()),
 }
 
@@ -140,11 +104,14 @@ CASES = {
 def test_against_a_tight_ode_solution(case):
     """1e-6 of the peak, in every quantity; and the springs are far from linear."""
     structure, record = CASES[case]
-    exact = reference(structure, record)
+    exact = tight_solution(structure.parameters(), record.acceleration, record.dt)
     for quantity in QUANTITIES:
         assert peak_error(simulate(structure, record, quantity=quantity).values, exact[quantity]) < 1e-6
     linear = SpringMassChain(structure.mass, structure.stiffness, structure.damping)
     assert peak_error(simulate(linear, record), exact["absolute_acceleration"]) > 0.05
+    start = {q: simulate(structure, Record([2.0, 1.0], 0.02), quantity=q).values[:, 0] for q in QUANTITIES}
+    np.testing.assert_array_equal(start.pop("relative_acceleration"), -2.0)
+    assert not any(values.any() for values in start.values())  # at rest at the first sample
 
 
 def test_springs_that_do_not_move_yet():
@@ -152,15 +119,16 @@ def test_springs_that_do_not_move_yet():
     for seed in range(40):
         for n in (50, 60):
             assert np.isfinite(simulate(tower(n), noise_record(seed, 8)).values).all()
-    structure, record = tower(50), growing_record(6)
+    structure, record = tower(20), growing_record(6)
     ours = simulate(structure, record, quantity="relative_displacement").values
-    assert peak_error(ours, reference(structure, record)["relative_displacement"]) < 1e-6
+    exact = tight_solution(structure.parameters(), record.acceleration, record.dt)
+    assert peak_error(ours, exact["relative_displacement"]) < 1e-6
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [10, 33])
-def test_gradient_where_springs_do_not_move_yet(n):
+def test_gradient_where_springs_do_not_move_yet():
     """Kinks of rounding errors have no derivative: central differences."""
+    n = 33
     structure, record = tower(n), growing_record(50)
     kernels = flat_kernels("hysteretic")
     parameters = [np.array(p) for p in structure.parameters()]
@@ -243,11 +211,16 @@ def test_duffing_free_vibration_is_a_jacobi_elliptic_cosine():
 # --------------------------------------------------------------------------- linear limits
 
 
-@pytest.mark.parametrize("n", [1, 4])
 @pytest.mark.parametrize(
-    "damping", [RAYLEIGH, ModalDamping(0.05), ModalDamping(0.0), ModalDamping(2.0)], ids=str
+    ("n", "damping", "quantity"),
+    [
+        (4, RAYLEIGH, "absolute_acceleration"),
+        (1, ModalDamping(0.05), "relative_acceleration"),
+        (4, ModalDamping(0.0), "relative_displacement"),
+        (4, ModalDamping(2.0), "relative_velocity"),
+    ],
+    ids=str,
 )
-@pytest.mark.parametrize("quantity", QUANTITIES)
 def test_linear_limits(n, damping, quantity):
     """No post-yield loss, yielding out of reach, or no cubic part: the exact response of the linear chain."""
     record = noise_record(7, 100)
@@ -272,12 +245,14 @@ def slow_cycles():
     return Record(-150.0 * np.sin(2.0 * np.pi * np.arange(801) * 0.02 / 8.0), 0.02)
 
 
+def mass_on_spring(sharpness):
+    law = {"yield_displacement": 0.01, "post_yield_ratio": 0.2, "sharpness": sharpness}
+    return HystereticChain(1.0, [1e4], ModalDamping(0.2), **law)
+
+
 def test_bilinear_limit_is_the_static_loop():
     """n = 60: force 100 N + 2000 N/m (d - 0.01 m), unloading at 10000 N/m, 8 J in each cycle."""
-    chain = HystereticChain(
-        1.0, [1e4], ModalDamping(0.2), yield_displacement=0.01, post_yield_ratio=0.2, sharpness=60.0
-    )
-    loop = spring_forces(chain, slow_cycles()).sel(spring=0)
+    loop = spring_forces(mass_on_spring(60.0), slow_cycles()).sel(spring=0)
     force, drift = loop["force"].values, loop["drift"].values
     assert drift.max() == pytest.approx(0.01 + 50.0 / 2000.0, rel=0.02)
     assert drift.min() == pytest.approx(-drift.max(), rel=0.02)
@@ -290,24 +265,15 @@ def test_bilinear_limit_is_the_static_loop():
     cycle = slice(400, None)
     work = np.sum(0.5 * (force[cycle][1:] + force[cycle][:-1]) * np.diff(drift[cycle]))
     assert work == pytest.approx(4.0 * 0.8 * 1e4 * 0.01 * 0.025, rel=0.03)
-    soft = HystereticChain(1.0, [1e4], ModalDamping(0.2), yield_displacement=0.01, post_yield_ratio=0.2)
+    loop = spring_forces(mass_on_spring(20.0), slow_cycles()).sel(spring=0).isel(time=slice(100))
+    knee = np.interp(0.01, loop["drift"], loop["z"])  # monotonic: int_0^z dz / (1 - z^n) = 1
+    assert sum(knee ** (20 * j + 1) / (20 * j + 1) for j in range(200)) == pytest.approx(1.0, abs=0.01)
+    soft = mass_on_spring(2.0)
     loop = spring_forces(soft, slow_cycles())  # negative control: n = 2 is round
     assert np.abs(np.abs(loop["z"].values) - np.abs(clipped)).max() > 0.1
 
 
-def test_sharpness_and_the_knee():
-    """At d = d_y a monotonic spring has z with int_0^z dz / (1 - z^n) = 1: 3 % below one for n = 20."""
-    chain = HystereticChain(
-        1.0, [1e4], ModalDamping(0.2), yield_displacement=0.01, post_yield_ratio=0.2, sharpness=20.0
-    )
-    loop = spring_forces(chain, slow_cycles()).sel(spring=0).isel(time=slice(100))
-    knee = np.interp(0.01, loop["drift"], loop["z"])
-    assert sum(knee ** (20 * j + 1) / (20 * j + 1) for j in range(200)) == pytest.approx(1.0, abs=0.01)
-    assert knee == pytest.approx(0.97, abs=0.005)
-
-
-@pytest.mark.parametrize("sharpness", [1.0, 2.0, 8.0])
-@pytest.mark.parametrize(("beta", "gamma"), [(0.5, 0.5), (1.0, 0.0), (0.7, 0.1)])
+@pytest.mark.parametrize(("sharpness", "beta", "gamma"), [(1.0, 0.7, 0.1), (2.0, 0.5, 0.5), (8.0, 1.0, 0.0)])
 def test_springs_dissipate_and_stay_on_their_leash(sharpness, beta, gamma):
     """Work less stored energy never falls, in no spring; |z| <= (beta + gamma)^(-1/n)."""
     chain = bouc_wen(sharpness=sharpness, beta=beta, gamma=gamma)
@@ -343,13 +309,6 @@ def test_output_steps_and_sensors(chain):
     np.testing.assert_array_equal(simulate(chain, record, sensors=[2, 0]).values, base.values[[2, 0]])
 
 
-def test_at_rest_at_the_first_sample():
-    for chain in (bouc_wen(), duffing()):
-        start = {q: simulate(chain, Record([2.0, 1.0], 0.02), quantity=q).values[:, 0] for q in QUANTITIES}
-        np.testing.assert_array_equal(start.pop("relative_acceleration"), -2.0)
-        assert not any(values.any() for values in start.values())
-
-
 def test_spring_forces_are_labelled():
     loops = spring_forces(bouc_wen(2), Record([0.0, 1.0, 0.0], 0.1, name="pulse"), dt=0.05)
     assert dict(loops.sizes) == {"spring": 2, "time": 5}
@@ -374,7 +333,8 @@ def test_parameters_may_be_variables():
 TABLE = {"dy": 0.01, "ratio": 0.1, "n": 2.0, "beta": 0.5, "gamma": 0.5}
 INVALID = [
     *({name: np.nan} for name in TABLE),
-    *({name: -0.1} for name in TABLE),
+    {"ratio": -0.1},
+    {"gamma": -0.1},
     {"dy": 0.0},
     {"dy": np.inf},
     {"ratio": 1.1},
@@ -398,26 +358,8 @@ def test_invalid_draws_give_nan(change):
     assert np.isnan(run(**change)).all()
 
 
-@pytest.mark.parametrize(
-    "linear",
-    [
-        ([1.0, -1.0], [100.0, 100.0], [0.0, 0.0], [0.0, 0.0]),
-        ([1.0, 1.0], [100.0, np.nan], [0.0, 0.0], [0.0, 0.0]),
-        ([1.0, 1.0], [100.0, 100.0], [-1.0, 0.0], [0.0, 0.0]),
-        ([1.0, 1.0], [100.0, 100.0], [0.0, np.nan], [0.0, 0.0]),
-        ([1.0, 1.0], [100.0, 100.0], [0.0, 0.0], [0.0, -0.1]),
-        ([1.0, 1.0], [1e30, 100.0], [0.0, 0.0], [0.0, 0.0]),
-    ],
-)
-def test_what_is_no_chain_gives_nan(linear):
-    kernel = flat_kernels("duffing")["response"]
-    for cubic in (0.0, 10.0):
-        settings = (np.array([0.0, 1.0, 0.5]), 0.02, 1, 1, np.arange(2), 2, 0)
-        assert np.isnan(kernel(*linear, np.full((1, 2), cubic), *settings)).all()
-    assert np.isnan(kernel(*linear, np.full((1, 2), np.nan), *settings)).all()
-
-
-def test_absurd_draws_are_no_exception():
+def test_any_draw_gives_numbers_or_nan():
+    """Never an exception."""
     rng, kernel = np.random.default_rng(0), flat_kernels("hysteretic")["response"]
     for _ in range(200):
         mass, stiffness, dy = 10.0 ** rng.uniform(-6, 6, (3, 2))
@@ -445,56 +387,33 @@ def test_springs_too_stiff_to_step(law, interpolation):
         response(of(1e20).scale_stiffness(pm.LogNormal("theta", 0.0, 0.1), [0]), record)
 
 
-REFUSALS_OF_THE_HYSTERETIC_CHAIN_VALUES = {  # what is said: what is given
+REFUSED = {  # what is said: what is given
     "`yield_displacement` must be positive and finite, got 0. .* m": {"yield_displacement": 0.0},
     "one for each of the 3 springs, got 2": {"yield_displacement": [0.1, 0.1]},
-    "`post_yield_ratio` must be finite and not negative, got -0.1": {"post_yield_ratio": -0.1},
     "must lie between 0 and 1, got 1.5. .* `DuffingChain` for": {"post_yield_ratio": 1.5},
     "`sharpness` must be at least 1, got 0.5. Pass 1 to 3 for gradual": {"sharpness": 0.5},
     "`beta` must be positive and finite, got 0": {"beta": 0.0},
-    "`gamma` must be finite and not negative, got -0.1": {"gamma": -0.1},
+    "`cubic` must be finite and not negative, got -1. Pass values in N/m": {"cubic": -1.0},
     "`gamma` must not exceed `beta`, got 0.6 and 0.5. Loops would": {"gamma": [0.5, 0.5, 0.6]},
 }
-REFUSALS_OF_THE_HYSTERETIC_CHAIN_TYPES = {
-    "`yield_displacement` must be numbers or PyTensor var": {"yield_displacement": "much"},
-    "`damping` must be a Damping, got float": {"damping": 0.05},
-}
 
 
-@refusals("changes", REFUSALS_OF_THE_HYSTERETIC_CHAIN_VALUES, REFUSALS_OF_THE_HYSTERETIC_CHAIN_TYPES)
-def test_refusals_of_the_hysteretic_chain(changes, error, match):
-    with pytest.raises(error, match=match):
-        bouc_wen(**changes)
-
-
-def test_refusals_of_the_duffing_chain():
-    with pytest.raises(
-        ValueError, match="`cubic` must be finite and not negative, got -1. Pass values in N/m"
-    ):
-        duffing(cubic=-1.0)
-    with pytest.raises(
-        ValueError, match="`cubic` must have one value or one for each of the 3 springs, got 2"
-    ):
-        duffing(cubic=[1.0, 1.0])
+@refusals("changes", REFUSED)
+def test_refusals_of_the_chains(changes, match):
+    with pytest.raises(ValueError, match=match):
+        (duffing if "cubic" in changes else bouc_wen)(**changes)
 
 
 @pytest.mark.parametrize("chain", [bouc_wen(), duffing()], ids=str)
 def test_refusals_of_the_functions(chain):
     record = noise_record()
-    with pytest.raises(
-        ValueError, match="`n_modes` must be left out for a nonlinear structure, got 2. .*Chain"
-    ):
+    with pytest.raises(ValueError, match="`n_modes` must be left out for a nonlinear structure, got 2. ."):
         simulate(chain, record, n_modes=2)
-    with pytest.raises(ValueError, match="`dt` must be an integer multiple or divisor"):
-        simulate(chain, record, dt=0.03)
     with pytest.raises(TypeError, match="`record` must be a Record, got list"):
         spring_forces(chain, [1.0])
     for function in (spring_forces, integration_error):
         with pytest.raises(TypeError, match="`record` must be a Record for a .*Chain, got Loading"):
             function(chain, straight.Loading([[0.0, 1.0]], 0.02))
-    symbolic = chain.scale_stiffness(pt.scalar("f"), [0])
-    with pytest.raises(TypeError, match="got PyTensor variables. Use `response"):
-        simulate(symbolic, record)
     linear = SpringMassChain(1.0, [1.0], RAYLEIGH)
     for function in (spring_forces, integration_error):
         with pytest.raises(TypeError, match="`structure` must be a nonlinear chain, got SpringMassChain"):
