@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytensor.tensor as pt
 import pytest
 import xarray as xr
 from scipy.linalg import expm
@@ -17,14 +18,6 @@ from support.straight import Record
 from support.structures import DAMPINGS, noise_record, random_chain
 
 # --------------------------------------------------------------------------- independent routes
-
-
-def phi_functions(matrix):
-    """exp(A), phi_1(A) and phi_2(A) from one matrix exponential (Van Loan)."""
-    n = len(matrix)
-    eye, zero = np.eye(n), np.zeros((n, n))
-    whole = expm(np.block([[matrix, eye, zero], [zero, zero, eye], [zero, zero, zero]]))
-    return whole[:n, :n], whole[:n, n : 2 * n], whole[:n, 2 * n :]
 
 
 def full_response(structure, record, *, substeps=1, stride=1):
@@ -54,22 +47,19 @@ def assert_close_to_peak(actual, expected, tolerance):
     np.testing.assert_allclose(actual, expected, rtol=0.0, atol=tolerance * np.abs(expected).max())
 
 
-# --------------------------------------------------------------------------- coefficients
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("zeta", [0.0, 1e-8, 0.02, 0.5, 1.0 - 1e-9, 1.0, 1.0 + 1e-9, 1.5, 5.0])
+@pytest.mark.parametrize("zeta", [0.0, 1e-8, 0.5, 1.0 - 1e-9, 1.0, 1.0 + 1e-9, 5.0])
 def test_step_coefficients_against_matrix_exponential(zeta):
-    """w in 0..30: 1e-12 of the largest entry, the accuracy of the exponential itself."""
-    grid = np.concatenate([[0.0], np.logspace(-8, np.log10(30.0), 60)])
-    for w in grid:
+    """w in 0..30: 1e-12 of the largest entry, the accuracy of the exponential itself (Van Loan)."""
+    for w in np.concatenate([[0.0], np.logspace(-8, np.log10(30.0), 30)]):
         hold = np.array(step_coefficients(w * w, 2.0 * zeta * w))
+        eye, zero = np.eye(2), np.zeros((2, 2))
         exact = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
-        phi_0, phi_1, phi_2 = phi_functions(exact)
-        now, after = (phi_2 - phi_1)[:, 1], -phi_2[:, 1]
+        whole = expm(np.block([[exact, eye, zero], [zero, zero, eye], [zero, zero, zero]]))
+        phi_0, phi_1, phi_2 = np.hsplit(whole[:2], 3)
         assert_close_to_peak(hold[:4].reshape(2, 2), phi_0, 1e-12)
-        assert_close_to_peak(hold[4:6], now, 1e-12)
-        assert_close_to_peak(hold[6:8], after, 1e-12)
+        assert_close_to_peak(hold[4:6], (phi_2 - phi_1)[:, 1], 1e-12)
+        assert_close_to_peak(hold[6:8], -phi_2[:, 1], 1e-12)
 
 
 # --------------------------------------------------------------------------- reference results
@@ -145,74 +135,53 @@ def frame_forces(u, stiffness, height):
 
 
 def test_published_peaks_of_a_frame(five_storeys):
-    """Chopra, sec. 13.2.6: totals to 0.3 %; periods to the printed digits."""
+    """Chopra, sec. 13.2.6: periods to the printed digits, totals to 0.3 %, modes to 0.5 % and rounding.
+
+    The part of each mode is the difference of truncated responses.
+    """
     book, chain, record = five_storeys
     np.testing.assert_allclose(1 / chain.modes().natural_frequencies, book["periods_s"], atol=6e-5)
-    forces = frame_forces(displacement(chain, record, dt=0.004), book["k_N_per_m"], book["storey_height_m"])
-    for name, history in forces.items():
-        assert np.abs(history).max() == pytest.approx(book["published_peaks"][name]["total"], rel=3e-3)
-
-
-def test_published_modal_peaks_of_a_frame(five_storeys):
-    """The part of each mode is the difference of truncated responses; 0.5 % and the rounding in print."""
-    book, chain, record = five_storeys
-    before = 0.0
+    geometry, before = (book["k_N_per_m"], book["storey_height_m"]), 0.0
     for r in range(5):
         upto = displacement(chain, record, dt=0.004, n_modes=r + 1)
-        forces = frame_forces(upto - before, book["k_N_per_m"], book["storey_height_m"])
-        before = upto
-        for name, history in forces.items():
+        for name, history in frame_forces(upto - before, *geometry).items():
             expected = book["published_peaks"][name]["modes"][r]
-            rounding = {"u5_cm": 6e-4, "Mb_kNm": 0.06}.get(name, 6e-4)
+            rounding = 0.06 if name == "Mb_kNm" else 6e-4
             assert np.abs(history).max() == pytest.approx(expected, rel=5e-3, abs=rounding), (r, name)
+        before = upto
+    for name, history in frame_forces(before, *geometry).items():
+        assert np.abs(history).max() == pytest.approx(book["published_peaks"][name]["total"], rel=3e-3)
 
 
 # --------------------------------------------------------------------------- the whole state space
 
 
 @pytest.mark.parametrize("damping", DAMPINGS)
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, 3, 6, 7])
 def test_against_full_matrix_exponential(seed, damping):
-    """One to eight masses, all quantities, 1e-10 of the peak; no modes in the other route."""
-    chain, record = random_chain(seed, damping), noise_record(150, seed=seed)
+    """One to eight masses, records around blocks, 1e-10 of the peak; no modes in the other route."""
+    n_times = {0: 2, 3: 129, 6: 150, 7: 257}[seed]
+    chain, record = random_chain(seed, damping), noise_record(n_times, seed=seed)
     exact = full_response(chain, record)
     for quantity in QUANTITIES:
         assert_close_to_peak(simulate(chain, record, quantity=quantity).values, exact[quantity], 1e-10)
 
 
-@pytest.mark.parametrize(("substeps", "stride"), [(1, 2), (1, 5), (1, 10), (2, 1), (10, 1)])
+@pytest.mark.parametrize(("substeps", "stride"), [(1, 2), (1, 7), (10, 1)])
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_output_steps(substeps, stride, quantity):
-    """Multiples and divisors of the record's step, over a block boundary of the recursion."""
+    """Multiples and divisors of the record's step, with the rounding of a division; the last whole step."""
     record = noise_record(301, seed=3)
     for seed in (0, 4):
         chain = random_chain(seed)
-        dt = record.dt * stride / substeps
+        dt = record.dt * stride / substeps * (1.0 + 1e-12)
         ours = simulate(chain, record, dt=dt, quantity=quantity)
         exact = full_response(chain, record, substeps=substeps, stride=stride)[quantity]
         assert_close_to_peak(ours.values, exact, 1e-10)
-        np.testing.assert_allclose(ours["time"], np.arange(exact.shape[1]) * dt, rtol=1e-14)
+        np.testing.assert_allclose(ours["time"], np.arange(exact.shape[1]) * dt, rtol=1e-11)
 
 
-@pytest.mark.parametrize("n_times", [2, 3, 127, 128, 129, 256, 257])
-def test_record_lengths_around_the_block(n_times):
-    record = noise_record(n_times, seed=8)
-    chain = random_chain(2)
-    exact = full_response(chain, record)["absolute_acceleration"]
-    assert_close_to_peak(simulate(chain, record).values, exact, 1e-11)
-
-
-@pytest.mark.parametrize("n_times", [10, 11, 12])
-def test_output_ends_with_the_last_whole_step(n_times):
-    """A step of 5 samples: the samples after the last multiple of five are not reached."""
-    record = noise_record(n_times, seed=8)
-    ours = simulate(random_chain(2), record, dt=5 * record.dt)
-    fine = simulate(random_chain(2), record)
-    np.testing.assert_allclose(ours, fine[:, ::5], rtol=1e-12)
-    assert ours.sizes["time"] == (n_times - 1) // 5 + 1
-
-
-@pytest.mark.parametrize("sensors", [[0], [3], [3, 0], (1, 1, 2), np.array([2]), range(4)])
+@pytest.mark.parametrize("sensors", [[3, 0], (1, 1, 2), np.array([2])])
 def test_sensor_subsets(sensors):
     chain, record = random_chain(3), noise_record(150, seed=1)
     for kwargs in ({}, {"n_modes": 2}):
@@ -273,7 +242,7 @@ def test_at_rest_at_the_first_sample():
 # --------------------------------------------------------------------------- truncation
 
 
-@pytest.mark.parametrize("n_modes", [1, 2, 4, 5])
+@pytest.mark.parametrize("n_modes", [1, 4, 5])
 def test_truncation_and_feed_through(n_modes):
     """Kept modes one by one as oscillators, and J_c a_g = (1 - sum phi Gamma) a_g, Eq. (24)."""
     chain = random_chain(4, "mixed")
@@ -368,19 +337,14 @@ def kernel_arguments(**changes):
 
 INVALID = [
     {"mass": np.array([1.0, -2.0])},
-    {"mass": np.array([0.0, 2.0])},
-    {"mass": np.array([np.nan, 2.0])},
     {"mass": np.array([np.inf, 2.0])},
-    {"stiffness": np.array([-100.0, 50.0])},
     {"stiffness": np.array([100.0, 0.0])},
     {"stiffness": np.array([np.nan, np.nan])},
-    {"stiffness": np.array([100.0, np.inf])},
-    {"rayleigh": np.array([np.nan, 0.0])},
     {"rayleigh": np.array([0.0, np.inf])},
+    {"rayleigh": np.array([-1.0, 0.0])},
     {"ratios": np.array([0.0, np.nan])},
-    {"ratios": np.array([np.inf, 0.0])},
+    {"ratios": np.array([-0.1, 0.0])},
 ]
-NEGATIVE_DAMPING = [{"rayleigh": np.array([-1.0, 0.0])}, {"ratios": np.array([-0.1, 0.0])}]
 
 
 def named(case):
@@ -394,16 +358,6 @@ def test_invalid_parameters_give_nan(case):
     errors = chain_discrepancy(*kernel_arguments(**case), np.zeros((2, 3)))
     assert errors.shape == (2,)
     assert np.isnan(errors).all()
-
-
-@pytest.mark.parametrize("case", NEGATIVE_DAMPING, ids=named)
-def test_negative_damping_gives_nan(case):
-    """Where every mode would grow, the parameters are outside their support."""
-    assert np.isnan(chain_response(*kernel_arguments(**case, acceleration=np.ones(3)))).all()
-
-
-def test_masses_of_absurd_size_are_no_exception():
-    chain_response(*kernel_arguments(mass=np.array([1e-170, 1e-170])))
 
 
 def test_any_positive_parameters_give_numbers_or_nan():
@@ -421,11 +375,7 @@ def test_any_positive_parameters_give_numbers_or_nan():
     ("changes", "match"),
     [
         ({"stiffness": np.ones(3)}, "must have equal lengths"),
-        ({"ratios": np.zeros(1)}, "must have equal lengths"),
-        ({"rayleigh": np.zeros(3)}, "must have equal lengths"),
         ({"sensors": np.array([2])}, "`sensors` must be degrees of freedom"),
-        ({"sensors": np.array([-1])}, "`sensors` must be degrees of freedom"),
-        ({"n_modes": 0}, "`n_modes` must lie between 1 and"),
         ({"n_modes": 3}, "`n_modes` must lie between 1 and"),
     ],
 )
@@ -434,12 +384,8 @@ def test_kernel_refuses_to_read_outside_its_arrays(changes, match):
         chain_response(*kernel_arguments(**changes))
     with pytest.raises(ValueError, match=match):
         chain_discrepancy(*kernel_arguments(**changes), np.zeros((2, 3)))
-
-
-def test_kernel_refuses_data_of_another_shape():
-    for shape in ((2, 4), (1, 3), (3, 2)):
-        with pytest.raises(ValueError, match="`observed` or the cotangent must have the shape"):
-            chain_discrepancy(*kernel_arguments(), np.zeros(shape))
+    with pytest.raises(ValueError, match="`observed` or the cotangent must have the shape"):
+        chain_discrepancy(*kernel_arguments(), np.zeros((3, 2)))
 
 
 # --------------------------------------------------------------------------- what users get
@@ -464,22 +410,15 @@ def test_result_is_labelled():
     ("kwargs", "match"),
     [
         ({"dt": -0.02}, "`dt` must be positive, got -0.02. Pass the output step in seconds"),
-        ({"dt": 0.0}, "`dt` must be positive"),
-        ({"dt": np.nan}, "`dt` must be positive, got nan"),
         (
             {"dt": 0.03},
             "`dt` must be an integer multiple or divisor of the record's step 0.02 s, got 0.03 s. Resample",
         ),
-        ({"dt": 0.013}, "`dt` must be an integer multiple or divisor"),
         ({"quantity": "drift"}, "`quantity` must be one of absolute_acceleration, .* got 'drift'"),
-        ({"n_modes": 0}, "`n_modes` must be an integer from 1 to 3, got 0. Leave it out for all modes"),
-        ({"n_modes": 4}, "`n_modes` must be an integer from 1 to 3, got 4"),
-        ({"n_modes": 1.5}, "`n_modes` must be an integer from 1 to 3, got 1.5"),
+        ({"n_modes": 4}, "`n_modes` must be an integer from 1 to 3, got 4. Leave it out for all modes"),
         ({"n_modes": True}, "`n_modes` must be an integer from 1 to 3, got True"),
         ({"sensors": [3]}, r"`sensors` must lie between 0 and 2, got \[3\]. Degree of freedom 0 is next"),
-        ({"sensors": [-1]}, r"`sensors` must lie between 0 and 2, got \[-1\]"),
         ({"sensors": []}, r"`sensors` must be a list of degrees of freedom \(integers\), got \[\]"),
-        ({"sensors": [0.5]}, "`sensors` must be a list of degrees of freedom"),
         ({"sensors": [True, False, True]}, "`sensors` must be a list of degrees of freedom"),
         ({"sensors": [[0, 1]]}, "`sensors` must be a list of degrees of freedom"),
     ],
@@ -489,24 +428,18 @@ def test_refusals(kwargs, match):
         simulate(random_chain(2), noise_record(150, seed=0), **kwargs)
 
 
-def test_steps_may_carry_the_rounding_of_a_division():
-    chain, record = random_chain(1), noise_record(150, seed=0)
-    for dt, factor in ((0.02 / 3, 3), (0.1 * 0.02, 10), (0.02 * (1 + 1e-9), 1)):
-        assert simulate(chain, record, dt=dt).sizes["time"] == 149 * factor + 1
-
-
-def test_symbolic_structures_are_for_models():
-    import pytensor.tensor as pt
-
-    chain = paper.chain(pt.scalar("theta"))
-    with pytest.raises(
-        TypeError, match="must have numbers as parameters, got PyTensor variables. Use `response"
-    ):
-        simulate(chain, noise_record(150, seed=0))
-
-
-def test_simulate_refuses_other_objects():
-    with pytest.raises(TypeError, match="`structure` must be a structure, got str"):
-        simulate("chain", Record([0.0, 1.0], 0.1))
-    with pytest.raises(TypeError, match="`record` must be a Record, got list"):
-        simulate(SpringMassChain(1.0, [1.0, 1.0], RayleighDamping(0.0, 0.0)), [1.0, 2.0])
+@pytest.mark.parametrize(
+    ("structure", "record", "match"),
+    [
+        ("chain", Record([0.0, 1.0], 0.1), "`structure` must be a structure, got str"),
+        (random_chain(1), [1.0, 2.0], "`record` must be a Record, got list"),
+        (
+            paper.chain(pt.scalar("theta")),
+            Record([0.0, 1.0], 0.1),
+            "must have numbers as parameters, got PyTensor variables. Use `response",
+        ),
+    ],
+)
+def test_refused_types(structure, record, match):
+    with pytest.raises(TypeError, match=match):
+        simulate(structure, record)
