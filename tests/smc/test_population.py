@@ -7,12 +7,9 @@ import sys
 import numpy as np
 import pymc as pm
 import pytensor
-import pytensor.tensor as pt
 import pytest
 from pymc.logprob.utils import ParameterValueError
 from pymc.smc.kernels import IMH, MH
-from pytensor.graph.basic import Apply
-from pytensor.graph.op import Op
 from scipy import stats
 
 from pymc_features import (
@@ -29,7 +26,7 @@ from pymc_features.smc import KERNELS, PopulationLogp
 from pymc_features.smc.density import rows
 from pymc_features.smc.density.evaluation import population_logp
 from support.graphs import REWRITTEN
-from support.populations import discrete, points_of, potential, prior_particles
+from support.populations import discrete, points_of, prior_particles
 from support.sampling import SERIAL
 from support.structures import noise_record, with_noise
 
@@ -50,9 +47,6 @@ def measured(n_dof=3, record=PULSE):
 def default_mode():
     with pytensor.config.change_flags(mode="Mode"):
         yield
-
-
-# --------------------------------------------------------------------------- models
 
 
 def gaussian():
@@ -89,9 +83,6 @@ def structure():
     return model
 
 
-MODELS = (gaussian, many_variables, discrete, potential, data, structure)
-
-
 def sample(model, kernel, draws=60, chains=1, **settings):
     return pm.sample_smc(
         draws, kernel, model=model, chains=chains, **{"random_seed": 5, **SERIAL, **settings}
@@ -107,9 +98,6 @@ def assert_same(one, other, **tolerance):
 
 def stages(idata):
     return np.concatenate([np.ravel(chain_betas) for chain_betas in np.ravel(idata.sample_stats["beta"])])
-
-
-# --------------------------------------------------------------------------- the particles of PyMC
 
 
 @pytest.mark.slow
@@ -139,23 +127,23 @@ def test_data_of_another_length_need_no_new_evaluation():
         assert PersistentSMC(60, model=model).logp is before
 
 
-@pytest.mark.parametrize("what", ["observed", "potential", "free"])
-def test_a_changed_model_is_compiled_anew(what):
-    """Nothing of the former model may answer for the present one."""
+def test_a_changed_model_is_compiled_anew():
+    """Nothing of the former model may answer for the present one. Control: another seed."""
     model = gaussian()
-    before = PopulationIMH(60, model=model).logp
-    with model:
-        if what == "observed":
-            pm.Normal("z", model["x"][0], 1.0, observed=3.0)
-        elif what == "potential":
-            pm.Potential("z", -(model["x"][0] ** 2))
-        else:
-            pm.Normal("z")
-    assert PopulationIMH(60, model=model).logp is not before
-    assert_same(sample(model, IMH), sample(model, PopulationIMH), rtol=1e-12, atol=1e-12)
-
-
-# --------------------------------------------------------------------------- chains in parallel
+    changes = {
+        "observed": lambda: pm.Normal("y1", model["x"][0], 1.0, observed=3.0),
+        "potential": lambda: pm.Potential("y2", -(model["x"][0] ** 2)),
+        "free": lambda: pm.Normal("y3"),
+    }
+    for what, change in changes.items():
+        before = PopulationIMH(60, model=model).logp
+        with model:
+            change()
+        assert PopulationIMH(60, model=model).logp is not before, what
+    exact = sample(model, IMH)
+    assert_same(exact, sample(model, PopulationIMH), rtol=1e-12, atol=1e-12)
+    with pytest.raises(AssertionError):
+        assert_same(exact, sample(model, PopulationIMH, random_seed=6), rtol=1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -178,9 +166,6 @@ def test_parallel_chains_give_the_same_draws(sequential, default_mode, mp_ctx):
     chains = found.posterior["theta"].values
     assert not np.isclose(chains[0], chains[1]).any()
     assert_same(found, sample(model, PersistentSMC, chains=2), rtol=1e-12)
-
-
-# --------------------------------------------------------------------------- the evaluation
 
 
 def one_by_one(model, particles):
@@ -209,68 +194,9 @@ def compare(model, particles):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("build", MODELS)
-def test_equals_the_model_point_by_point(build):
-    model = build()
-    possible, _ = compare(model, prior_particles(model))
+def test_discrete_equals_the_model_point_by_point():
+    possible, _ = compare(model := discrete(), prior_particles(model))
     assert possible.sum() > 5
-
-
-def test_particles_outside_the_support_are_alone():
-    """A negative scale and a value beyond its bounds, without the transforms that prevent them."""
-    with pm.Model() as model:
-        x = pm.Uniform("x", 0.0, 1.0, default_transform=None)
-        s = pm.Normal("s")
-        pm.Normal("y", x, s, observed=[0.1, 0.2])
-    possible, failed = compare(model, prior_particles(model, spread=0.5))
-    assert 5 < possible.sum() < 35
-    x, s = prior_particles(model, spread=0.5).T
-    np.testing.assert_array_equal(possible, (x >= 0) & (x <= 1) & (s > 0))
-    assert not failed[(x < 0) | (x > 1)].any(), "what the prior excludes is no failure"
-
-
-class Moody(Op):
-    """Identity that raises a numerical error for negative numbers."""
-
-    __props__ = ("error",)
-
-    def __init__(self, error):
-        self.error = error
-
-    def make_node(self, x):
-        return Apply(self, [pt.as_tensor_variable(x)], [pt.dscalar()])
-
-    def infer_shape(self, node, shapes):
-        return [()]
-
-    def perform(self, node, inputs, outputs):
-        if inputs[0] < 0:
-            raise self.error("no solution")
-        outputs[0][0] = np.array(inputs[0])
-
-
-@pytest.mark.filterwarnings("ignore::UserWarning")  # Numba's object mode, and Blockwise's
-@pytest.mark.parametrize(
-    ("error", "mode"),
-    [
-        (np.linalg.LinAlgError, "NUMBA"),
-        *((e, "FAST_COMPILE") for e in (np.linalg.LinAlgError, FloatingPointError, ZeroDivisionError)),
-    ],
-)
-def test_numerical_errors_are_alone_and_failures(error, mode):
-    """One bad particle among many costs that particle only."""
-    with pm.Model() as model:
-        x = pm.Normal("x")
-        pm.Potential("solver", Moody(error)(x))
-    particles = np.abs(np.random.default_rng(0).normal(size=(33, 1)))
-    particles[[3, 17, 32]] *= -1
-    logp = population_logp(model, model.initial_point(), {"mode": mode})
-    prior, likelihood, failed = logp(particles)
-    np.testing.assert_array_equal(np.flatnonzero(failed), [3, 17, 32])
-    good = ~failed
-    np.testing.assert_allclose(likelihood[good], particles[good, 0], rtol=1e-14)
-    assert (likelihood[failed] == -np.inf).all()
-    np.testing.assert_allclose(prior[good], stats.norm.logpdf(particles[good, 0]), rtol=1e-12)
 
 
 def test_failed_simulations_are_counted():
@@ -307,9 +233,6 @@ def test_splitting_changes_nothing(monkeypatch):
     assert 1 < parts.batch < 25 < whole.batch
     for a, b in zip(whole(particles), parts(particles), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-14)
-
-
-# --------------------------------------------------------------------------- memory
 
 
 LONG = noise_record(3000)
@@ -359,9 +282,6 @@ def test_memory_does_not_grow_with_histories(likelihood, fused):
         assert logp.batch < N_PARTICLES
 
 
-# --------------------------------------------------------------------------- normal likelihoods
-
-
 def normal(mean=lambda mu: mu, sigma=lambda: 0.4):
     with pm.Model() as model:
         theta = pm.Normal("theta", 1.0, 0.3)
@@ -376,20 +296,16 @@ def holds_a_history(model):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sigma", [0.4, [[0.2], [0.4], [0.8]], "free", "free of each sensor"])
-def test_normal_of_a_response_needs_no_history(sigma):
+@pytest.mark.parametrize("values", [0.4, np.array([[0.7], [1.05], [1.4]])], ids=["known", "of each sensor"])
+def test_normal_of_a_response_needs_no_history(values):
     """The sum of SciPy's log-densities, also particle by particle, from a graph without a history."""
-    if isinstance(sigma, str):
-        shape = (3, 1) if "each" in sigma else ()
-        model = normal(sigma=lambda: pm.HalfNormal("sigma", 1.0, shape=shape))
-        values = np.full(shape, 0.7) * np.linspace(1.0, 2.0, 3)[:, None] if shape else 0.7
-        point = {"theta": 1.1, "sigma_log__": np.log(values)}
-    else:
-        model, values, point = normal(sigma=lambda: np.array(sigma)), np.array(sigma), {"theta": 1.1}
+    known = np.ndim(values) == 0
+    model = normal(sigma=lambda: values if known else pm.HalfNormal("sigma", 1.0, shape=(3, 1)))
+    point = {"theta": 1.1} if known else {"theta": 1.1, "sigma_log__": np.log(values)}
     assert not holds_a_history(model)
     mu = simulate(chain(1.1), PULSE).values
     exact = stats.norm.logpdf(measured(), mu, values).sum()
-    for mode in (REWRITTEN, "NUMBA") if sigma == "free" else (REWRITTEN,):
+    for mode in (REWRITTEN,) if known else (REWRITTEN, "NUMBA"):
         datalogp = model.compile_fn(model.datalogp, mode=mode)
         assert float(datalogp(point)) == pytest.approx(exact, rel=1e-10)
     logp = population_logp(model, model.initial_point(), {})
@@ -420,8 +336,30 @@ def test_other_normals_are_left_alone(mean, sigma):
     compare(model, prior_particles(model, spread=0.1))
 
 
-def test_another_seed_gives_other_particles():
-    """The comparison above would notice."""
-    model = gaussian()
-    with pytest.raises(AssertionError):
-        assert_same(sample(model, IMH), sample(model, PopulationIMH, random_seed=6), rtol=1e-3)
+@pytest.mark.slow
+@pytest.mark.parametrize("shared", [True, False])
+def test_one_call_for_each_record(shared):
+    """Records of any step and length; one factor for all, or one each: the sum of what they give alone."""
+    records = [noise_record(n, dt, seed=n) for n, dt in ((150, 0.02), (200, 0.01), (100, 0.04))]
+
+    def likelihood(i, theta, sigma):
+        mu = response(chain(theta), records[i])
+        TruncNormalFeature(f"y{i}", mu=mu, sigma=sigma, observed=measured(record=records[i]))
+
+    with pm.Model() as joint:
+        sigma, mean = pm.HalfNormal("sigma", 1.0), pm.Normal("mean", 1.0, 0.1)
+        theta = [mean] * 3 if shared else pm.Normal("theta", mean, 0.05, shape=3)
+        for i in range(3):
+            likelihood(i, theta[i], sigma)
+    logp = population_logp(joint, joint.initial_point(), {})
+    ops = [type(node.op).__name__ for node in logp.function.maker.fgraph.apply_nodes]
+    assert logp.batched and ops.count("PopulationDiscrepancy") == 3
+    points = np.random.default_rng(1).normal(1.0, 0.05, (5, 2 if shared else 5))
+    points[:, 0] -= 2.0
+    alone = np.zeros(5)
+    for i in range(3):
+        with pm.Model() as one:
+            likelihood(i, pm.Normal("factor", 1.0, 0.1), pm.HalfNormal("sigma", 1.0))
+        columns = points[:, [1 if shared else 2 + i, 0]]
+        alone += population_logp(one, one.initial_point(), {})(columns)[1]
+    np.testing.assert_allclose(logp(points)[1], alone, rtol=1e-10)
