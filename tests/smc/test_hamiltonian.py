@@ -1,7 +1,4 @@
-"""Hamiltonian trajectories in the chains of `PersistentSMC`: what they leave invariant, and when they run.
-
-Seeds are fixed. Where a docstring states a false-alarm rate, it is that of another seed.
-"""
+"""Hamiltonian trajectories in the chains of `PersistentSMC`: what they leave invariant, and when they run."""
 
 from functools import cache
 
@@ -11,9 +8,8 @@ import pytensor.tensor as pt
 import pytest
 from scipy import stats
 
-from pymc_features import DiscrepancySimulator, PersistentSMC, sample, sample_smc
+from pymc_features import DiscrepancySimulator, PersistentSMC, sample
 from pymc_features.exceptions import NotDifferentiableError
-from pymc_features.smc.kernels import chains as chains_module
 from pymc_features.smc.kernels.chains import Chains
 from pymc_features.smc.proposals import arms
 from pymc_features.smc.proposals.arms import ARMS, HAMILTONIAN, FittedMoves, Hamiltonian
@@ -21,9 +17,7 @@ from pymc_features.smc.proposals.pool import Pool
 from pymc_features.smc.proposals.proposal import StudentMixture, StudentT
 from pymc_features.smc.proposals.reference import Mode, Reference
 from support.reference import richardson
-from support.sampling import QUIET, mean_within_errors, run_chain
-
-# --------------------------------------------------------------------------- targets with exact quantiles
+from support.sampling import mean_within_errors, run_chain
 
 
 class Gaussian:
@@ -101,8 +95,6 @@ def test_gradient_of_a_reference():
     )
 
 
-# --------------------------------------------------------------------------- invariance
-
 STEPS, CHAINS = 24, 2000
 FALSE_ALARM = 1e-3
 
@@ -164,17 +156,15 @@ def test_trajectories_leave_the_target_invariant(target):
 
 @pytest.mark.statistical
 @pytest.mark.parametrize("target", TARGETS, ids=named)
-@pytest.mark.parametrize("wrong", [1.05, 1.5])
-def test_a_wrong_gradient_only_lowers_the_acceptance(target, wrong):
-    """Off in one coordinate, with the same steps; a false alarm in 1000. Of 5 %, acceptance shows little."""
+def test_a_wrong_gradient_only_lowers_the_acceptance(target):
+    """Off in one coordinate, with the same steps; a false alarm in 1000."""
     right = by_trajectories(target)
     hamiltonian = Hamiltonian()
     hamiltonian.learn = lambda *_: None
     hamiltonian.step, hamiltonian.length = right.moves.hamiltonian.step, right.moves.hamiltonian.length
-    found = by_trajectories(target, hamiltonian=hamiltonian, wrong=wrong)
+    found = by_trajectories(target, hamiltonian=hamiltonian, wrong=1.5)
     assert smallest_probability(target, found) > FALSE_ALARM
-    lost = np.mean(right.acceptances[-STEPS:]) - np.mean(found.acceptances[-STEPS:])
-    assert lost > (0.03 if wrong == 1.5 else -0.01)
+    assert np.mean(right.acceptances[-STEPS:]) - np.mean(found.acceptances[-STEPS:]) > 0.03
 
 
 class WithoutKinetic(Hamiltonian):
@@ -192,10 +182,6 @@ def test_a_wrong_acceptance_is_found(target):
     assert smallest_probability(target, chains) < 1e-2 * FALSE_ALARM
 
 
-# --------------------------------------------------------------------------- in the kernel
-
-
-@cache
 @cache
 def ring():
     """A thin shell around the origin, in three dimensions."""
@@ -233,30 +219,6 @@ def test_posterior_and_evidence_of_a_ring():
     assert sum(share > 0.1 for share in shares) >= 6, "others may do without chains: their fits are good"
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("by_gradients")
-def test_a_checkpoint_gives_the_same_particles(tmp_path, monkeypatch):
-    """Once whole, once cut off in the middle, and once from the record alone."""
-    model = ring()
-    settings = {"chains": 2, "cores": 1, "random_seed": 5, "model": model, "gradients": True, **QUIET}
-    expected = sample_smc(150, **settings).posterior["x"].values
-    calls = []
-
-    def follow(self, rows, _follow=Chains.follow):
-        calls.append(len(rows))
-        if len(calls) == 7:
-            raise KeyboardInterrupt
-        return _follow(self, rows)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(chains_module.Chains, "follow", follow)
-        with pytest.raises(KeyboardInterrupt):
-            sample_smc(150, checkpoint=tmp_path, **settings)
-    for _ in range(2):
-        found = sample_smc(150, checkpoint=tmp_path, **settings).posterior["x"].values
-        assert (found == expected).all()
-
-
 def linear(x):
     return np.outer(x, [1.0, 2.0])
 
@@ -268,7 +230,7 @@ def test_models_without_gradients():
         DiscrepancySimulator("y", linear, x, epsilon=0.3, observed=linear([0.5, -0.5]), kernel="exponential")
     with pytest.raises(NotDifferentiableError, match="no gradient"):
         PersistentSMC(100, model=model, gradients=True)
-    idata = sample(100, chains=2, cores=1, model=model, random_seed=1, progressbar=False)
+    idata = sample(100, chains=2, cores=1, model=model, check=None, random_seed=1, progressbar=False)
     assert idata.sample_stats.attrs["no_gradient"]
     assert float(idata.sample_stats["gradients"].sum()) == 0.0
     assert float(idata.sample_stats["hamiltonian_share"].sum()) == 0.0

@@ -4,7 +4,6 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import pytest
-import xarray as xr
 from pymc.sampling.parallel import ParallelSamplingError
 from scipy import stats
 
@@ -24,11 +23,9 @@ from support.sampling import QUIET, mean_within_errors
 from support.structures import noise_record, with_noise
 from support.subset import Banana, ball, batched, cube, identity, itself, own, run, sample, stock, twice
 
-# --------------------------------------------------------------------------- what a run reports
 
-
-def test_report_of_a_run(tmp_path, monkeypatch):
-    """Tolerances, evidence and settings of three chains; saved and loaded, everything is as it was."""
+def test_report_of_a_run(monkeypatch):
+    """Tolerances, evidence and settings of three chains."""
     problem, fractions = Banana(), []
     lower = Levels.lower
 
@@ -59,17 +56,12 @@ def test_report_of_a_run(tmp_path, monkeypatch):
         assert found["log_marginal_likelihood"].values[k] == pytest.approx(logs[-1], rel=1e-12)
         assert all(0.25 <= share < 0.28 for _, share in shares[:-1]), "more only by repeated states"
     assert found["log_marginal_likelihood"].dims == found["log_marginal_likelihood_se"].dims == ("chain",)
-    for name in set(SubsetSimulation.stats_dtypes_shapes) - {
-        "log_marginal_likelihood",
-        "log_marginal_likelihood_se",
-    }:
+    of_chains = {"log_marginal_likelihood", "log_marginal_likelihood_se"}
+    for name in set(SubsetSimulation.stats_dtypes_shapes) - of_chains:
         assert found[name].dims == ("chain", "stage"), name
         assert found[name].dtype == float, name
     expected = {"p0": 0.25, "stage_draws": 240, "epsilon": 1e-3, "max_simulations": 30_000, "_n_draws": 300}
     assert {name: found.attrs[name] for name in expected} == expected
-    idata.to_netcdf(tmp_path / "result.nc", engine="h5netcdf")
-    with xr.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as loaded:
-        xr.testing.assert_equal(loaded.load(), idata)
 
 
 def test_edge_belongs_to_the_tolerance():
@@ -93,13 +85,6 @@ def chain(theta):
 MEASURED = with_noise(simulate(chain(1.0), PULSE), 0.2)
 
 
-def structure(epsilon=0.2, **settings):
-    with pm.Model() as model:
-        mu = response(chain(pm.Normal("theta", 1.0, 0.5)), PULSE)
-        DiscrepancySimulator("y", mu, epsilon=epsilon, observed=MEASURED, **settings)
-    return model
-
-
 @pytest.mark.slow
 def test_structure_against_rejection():
     """A response node without a history: two-sample Kolmogorov-Smirnov at 1e-3 of every tenth draw.
@@ -112,13 +97,14 @@ def test_structure_against_rejection():
     theta = rng.normal(1.0, 0.5, 300_000)
     theta = theta[(theta > 0.02) & (theta < 3.0)]
     rho = np.interp(theta, grid, rho)
-    found = np.concatenate([run(structure(), seed=seed).draws[::10, 0] for seed in range(6)])
+    with pm.Model() as model:
+        mu = response(chain(pm.Normal("theta", 1.0, 0.5)), PULSE)
+        DiscrepancySimulator("y", mu, epsilon=0.2, observed=MEASURED)
+    runs = [run(model, seed=seed) for seed in range(6)]
+    found = np.concatenate([r.draws[::10, 0] for r in runs])
     assert stats.ks_2samp(found, theta[rho <= 0.2]).pvalue > 1e-3
     assert stats.ks_2samp(found, theta[rho <= 0.1]).pvalue < 1e-3
-    assert (run(structure(), seed=1).stages[0]["failed"]) > 0, "negative springs"
-
-
-# --------------------------------------------------------------------------- tolerances out of reach
+    assert runs[1].stages[0]["failed"] > 0, "negative springs"
 
 
 @batched
@@ -126,13 +112,9 @@ def far(x):
     return np.abs(x) + 1.0
 
 
-def unreachable(seen=None):
+def unreachable():
     with pm.Model() as model:
-        x = pm.Normal("x", shape=2)
-        function = far
-        if seen is not None:
-            function = batched(lambda x: seen.append(len(x)) or far(x))
-        DiscrepancySimulator("y", function, x, epsilon=0.5, observed=np.zeros(2))
+        DiscrepancySimulator("y", far, pm.Normal("x", shape=2), epsilon=0.5, observed=np.zeros(2))
     return model
 
 
@@ -192,9 +174,6 @@ def test_ties_do_not_stall():
     assert stats.chisquare(counts, expected * counts.sum() / expected.sum()).pvalue > 1e-4
 
 
-# --------------------------------------------------------------------------- other parts of a model
-
-
 @pytest.mark.slow
 def test_potential_and_second_likelihood():
     """Importance weights of rejected prior draws: weighted moments, and the evidence of both together.
@@ -232,9 +211,6 @@ def test_potentials_that_leave_no_room_are_refused():
         sample(model)
 
 
-# --------------------------------------------------------------------------- refusals
-
-
 def without_simulator():
     with pm.Model() as model:
         pm.Normal("z", pm.Normal("x"), 1.0, observed=0.0)
@@ -256,12 +232,10 @@ REFUSED = {  # what is said: what is given
     "`model` must have one pm.Simulator node, got none. Declare one with Disc": (without_simulator, {}),
     "`model` must have one pm.Simulator node, got y, z. Declare": (with_two, {}),
     "`p0` must lie between 0 and 1, got 0.0. The default is 0.2": (None, {"p0": 0.0}),
-    "`p0` must lie between 0 and 1, got 1.0": (None, {"p0": 1.0}),
     "`p0` must lie between 0 and 1, got nan": (None, {"p0": np.nan}),
     "`draws` must be an integer of at least 2, got 1": (None, {"draws": 1}),
     "`stage_draws` must be an integer of at least 20, got 19": (None, {"stage_draws": 19}),
     "`stage_draws` must be an integer of at least 40, got 39": (None, {"stage_draws": 39, "p0": 0.1}),
-    "`stage_draws` must be an integer of at least 20, got 30.5": (None, {"stage_draws": 30.5}),
     "`max_simulations` must allow for 400 draws from the prior, got": (None, {"max_simulations": 399}),
     "`max_simulations` must allow for 400 draws from the prior": (None, {"max_simulations": np.nan}),
     "`epsilon` must be positive and finite, got 0.0": (None, {"epsilon": 0.0}),

@@ -20,13 +20,6 @@ def raising(error):
     return function
 
 
-def returning(value):
-    def function(x):
-        return np.array([value if x < 0 else x])
-
-    return function
-
-
 @batched
 def batched_raising(x):
     if (x < 0).any():
@@ -54,12 +47,7 @@ def stock_batched_raising(rng, x, size):
 
 FAILING = {
     "RuntimeError": lambda: own(raising(RuntimeError)),
-    "KeyError": lambda: own(raising(KeyError)),
-    "LinAlgError": lambda: own(raising(np.linalg.LinAlgError)),
-    "MemoryError": lambda: own(raising(MemoryError)),
-    "nan": lambda: own(returning(np.nan)),
-    "inf": lambda: own(returning(np.inf)),
-    "-inf": lambda: own(returning(-np.inf)),
+    "-inf": lambda: own(lambda x: np.array([-np.inf if x < 0 else x])),
     "batched error": lambda: own(batched_raising),
     "batched nan": lambda: own(batched_nan),
     "stock": lambda: stock(stock_raising, epsilon=0.01),
@@ -105,7 +93,6 @@ A_SIMULATOR_THAT_NEVER_SUCCEEDS_IS_REFUSED = {  # what is said: what is given
     r"\(400 failed simulations, the last with OSError: no licence": lambda: stock(always, epsilon=1.0),
     r"\(400 failed simulations\)": lambda: own(lambda x: np.array([np.nan])),
     r"must return the shape of `observed`, \(1,\), got \(2,\)": lambda: own(lambda x: np.zeros(2)),
-    r"must return the shape of `observed`, \(1,\), got \(\)": lambda: own(lambda x: 0.0),
     r"must return the shape of `observed`, \(1, 1\), got \(1,\)": lambda: own(wrong_batch),
 }
 
@@ -130,13 +117,11 @@ CUSTOM = {"distance": lambda epsilon, y, s: -pt.sqr(y - s) / epsilon}
     ("settings", "edge"),
     [
         ({"distance": "gaussian", "epsilon": 0.1}, 0.1 / np.sqrt(5)),
-        ({"distance": "laplace", "epsilon": 0.1}, 0.1 / 3),
         ({**CUSTOM, "epsilon": 0.01}, np.sqrt(0.01 / 5)),
         ({"distance": "gaussian", "epsilon": 0.1, "sum_stat": "mean"}, 0.2),
         ({"distance": "laplace", "epsilon": np.array([0.1, 0.4])}, 1 / (1 / 0.1 + 2 / 0.4)),
-        ({"distance": "gaussian", "epsilon": np.array([0.1, 0.4])}, 1 / np.sqrt(1 / 0.01 + 4 / 0.16)),
     ],
-    ids=["gaussian", "laplace", "function", "mean", "laplace of each", "gaussian of each"],
+    ids=["gaussian", "function", "mean", "laplace of each"],
 )
 def test_thresholds_of_stock_distances(settings, edge):
     """(x, -2 x) against zeros: the largest of 400 |x|, uniform up to the edge, is within 5 % of it.
@@ -165,7 +150,7 @@ def test_tolerance_may_be_data():
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error:SubsetSimulation draws from rho")
-@pytest.mark.parametrize("kernel", ["exponential", "gaussian", "stock"])
+@pytest.mark.parametrize("kernel", ["exponential", "stock"])
 def test_soft_kernels_give_the_threshold_with_a_warning(kernel):
     def build(kernel):
         if kernel == "stock":

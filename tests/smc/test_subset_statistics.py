@@ -1,7 +1,4 @@
-"""Subset simulation against exact volumes and rejection; wrong kernels are negative controls.
-
-Seeds are fixed. Where a docstring states a false-alarm rate, it is that of another seed.
-"""
+"""Subset simulation against exact volumes and rejection; wrong kernels are negative controls."""
 
 from functools import cache
 
@@ -15,9 +12,6 @@ from support.sampling import mean_within_errors
 from support.subset import Banana, TwoModes, ball, batched, cube, radius, run
 
 pytestmark = pytest.mark.statistical
-
-
-# --------------------------------------------------------------------------- exact volumes
 
 
 PROBABILITY = {1: 1e-3, 2: 2.6e-4, 5: 1e-4}
@@ -38,9 +32,6 @@ def test_evidence_against_the_exact_volume(d):
     errors = np.array([r.evidence for r in runs]) - np.log(PROBABILITY[d])
     assert (np.abs(errors) < 4.0 * np.array([r.se for r in runs])).all()
     assert mean_within_errors(errors)
-
-
-# --------------------------------------------------------------------------- against rejection
 
 
 class Noisy:
@@ -231,9 +222,6 @@ def test_short_moves_are_not_the_answer(build, limit):
     model = build()
     runs = [run(model, seed=seed) for seed in range(2)]
     assert max(r.simulations for r in runs) < limit * 500
-
-
-# --------------------------------------------------------------------------- calibration and cost
 
 
 @pytest.mark.parametrize("d", PROBABILITY)

@@ -1,7 +1,6 @@
 """Maps fitted to gradients: inverses and Jacobians, posteriors that they follow, and what refuses them."""
 
 import numpy as np
-import pytest
 
 from pymc_features.smc.proposals.reference import Mode, Reference
 from pymc_features.smc.proposals.transport import Bend, Stretch, Transport, pairs
@@ -42,8 +41,8 @@ def test_inverse_volume_and_slopes():
 class Bananas:
     """Pairs (a, b) of a normal a and b = a^2 / 4 + noise, like two springs between neighbouring sensors."""
 
-    def __init__(self, n_pairs, noise=0.1, slope_error=1.0):
-        self.n, self.noise, self.slope_error = n_pairs, noise, slope_error
+    def __init__(self, n_pairs, noise=0.3):
+        self.n, self.noise = n_pairs, noise
 
     def values(self, x):
         return self.gradient(x)[0]
@@ -53,7 +52,6 @@ class Bananas:
         rest = (b - 0.25 * a**2) / self.noise
         value = -0.5 * (a**2 + rest**2).sum(axis=1) - x.shape[1] / 2 * np.log(2.0 * np.pi)
         slope = np.hstack([-a + 0.5 * a * rest / self.noise, -rest / self.noise])
-        slope[:, -1] *= self.slope_error
         return value - self.n * np.log(self.noise), slope
 
     def reference(self) -> Reference:
@@ -71,10 +69,9 @@ def efficiency(reference, target, n=4000):
     return w.sum() ** 2 / (w @ w) / n, np.log(w.mean()) + log_weights.max()
 
 
-@pytest.mark.parametrize(("n_pairs", "noise"), [(8, 0.3), (10, 0.3)])
-def test_bananas_become_straight(n_pairs, noise):
+def test_bananas_become_straight():
     """Laplace's approximation keeps a hundredth of 4,000 draws, the map a third; evidence within 0.1."""
-    target = Bananas(n_pairs, noise)
+    target = Bananas(10)
     laplace = target.reference()
     bent = laplace.bent(target.values, target.gradient, np.random.default_rng(7))
     before, _ = efficiency(laplace, target)
@@ -85,7 +82,7 @@ def test_bananas_become_straight(n_pairs, noise):
 
 def test_slopes_of_the_reference():
     """Its gradient, which trajectories from it follow, against differences."""
-    target, d = Bananas(8, 0.3), 16
+    target, d = Bananas(8), 16
     reference = target.reference().bent(target.values, target.gradient, np.random.default_rng(7))
     assert reference.maps[0] is not None
     x = 0.3 * np.random.default_rng(8).normal(size=(20, d)) * np.repeat([1.0, target.noise], 8)

