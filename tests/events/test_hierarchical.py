@@ -1,5 +1,8 @@
 """`hierarchical`: against quadrature and closed forms, from exact draws of the events."""
 
+from functools import partial
+from importlib import import_module
+
 import numpy as np
 import pymc as pm
 import pytest
@@ -14,6 +17,13 @@ QUIET = {"cores": 1, "chains": 2, "random_seed": 1, "progressbar": False}
 PROBABILITIES = [0.05, 0.5, 0.95]
 EFFECTS = np.array([28.0, 8.0, -3.0, 7.0, -1.0, 1.0, 18.0, 12.0])  # eight schools, Rubin (1981)
 ERRORS = np.array([15.0, 10.0, 16.0, 11.0, 9.0, 11.0, 10.0, 18.0])
+
+
+@pytest.fixture(autouse=True)
+def unchecked(monkeypatch):
+    """The look for what a run missed is most of its time, and has tests of its own."""
+    module = import_module("pymc_features.events.hierarchical")
+    monkeypatch.setattr(module, "sample", partial(sample, check=None))
 
 
 def event(y, error, width, n, rng):
@@ -54,9 +64,7 @@ def test_eight_schools(monkeypatch):
     stored draws of each school add less.
     """
     rng = np.random.default_rng(3)
-    events, _ = zip(
-        *(event(y, s, 20.0, 2400, rng) for y, s in zip(EFFECTS, ERRORS, strict=True)), strict=True
-    )
+    events = [event(y, s, 20.0, 2400, rng)[0] for y, s in zip(EFFECTS, ERRORS, strict=True)]
     has_loops, looked = compilation.has_python_loops, []
     monkeypatch.setattr(compilation, "has_python_loops", lambda v: looked.append(has_loops(v)) or looked[-1])
     found = hierarchical(events, population(), event_draws=2400, draws=750, **QUIET)
@@ -79,9 +87,8 @@ def test_eight_schools(monkeypatch):
     below = (p * norm.cdf(10.0, mean, scatter)).sum() / p.sum()
     assert abs((following < 10.0).mean() - below) < 4.0 * np.sqrt(0.25 / 1500) + 0.02
     first = found["events"]["theta"].values[..., 0]
-    shrunk = (
-        p * (mean * ERRORS[0] ** 2 + EFFECTS[0] * scatter**2) / (ERRORS[0] ** 2 + scatter**2)
-    ).sum() / p.sum()
+    shrunk = (mean * ERRORS[0] ** 2 + EFFECTS[0] * scatter**2) / (ERRORS[0] ** 2 + scatter**2)
+    shrunk = (p * shrunk).sum() / p.sum()
     assert abs(first.mean() - shrunk) < 4.0 * first.std() / np.sqrt(750)
     assert found["events"]["pareto_k"].values.max() < 0.7
     assert "twice" not in found["posterior"]
@@ -89,7 +96,7 @@ def test_eight_schools(monkeypatch):
         mean = pm.Normal("mean", 0.0, 10.0)
         for i, (y, s) in enumerate(zip(EFFECTS, ERRORS, strict=True)):
             pm.Normal(f"y{i}", mean, s, observed=y)
-    one = sample(500, model=pooled, **QUIET)
+    one = sample(500, model=pooled, check=None, **QUIET)
     told = compare({"population": found, "one value": one})["comparison"]
     exact = multivariate_normal(np.zeros(8), np.diag(ERRORS**2) + 100.0).logpdf(EFFECTS)
     exact = 1.0 / (1.0 + np.exp(exact - log_evidence))
@@ -105,9 +112,8 @@ def test_an_event_that_hardly_overlaps_is_sampled_again():
     cases = [event(*case, 400, rng) for case in zip(data, errors, widths, strict=True)]
     events, models = zip(*cases, strict=True)
     settings = {**QUIET, "draws": 300, "event_draws": 600}
-    with pytest.warns(
-        SamplingWarning, match="events 2 .* hardly overlap with the population.*Pass their `mod"
-    ):
+    match = "events 2 .* hardly overlap with the population.*Pass their `mod"
+    with pytest.warns(SamplingWarning, match=match):
         poor = hierarchical(events, population(scatter), **settings)
     found = hierarchical(events, population(scatter), models=models, **settings)
     assert poor["events"]["pareto_k"].values[2] > 0.7 and not poor["events"]["sampled_again"].values.any()

@@ -53,7 +53,7 @@ def test_three_events_are_those_of_the_kalman_filter():
     """
     model, state = linear(), (np.zeros(2), PRIOR**2 * np.eye(2))
     pm.set_data(event(0), model=model)
-    idata = sample(2000, model=model, chains=2, random_seed=1, **QUIET)
+    idata = sample(2000, model=model, chains=2, random_seed=1, check=None, **QUIET)
     *state, _ = filtered(*state, 0)
     steps = [({}, lambda v: v), ({"drift": {"theta": 0.3}}, lambda v: v + 0.09 * np.eye(2))]
     steps.append(({"forgetting": 0.5}, lambda v: 2.0 * v))

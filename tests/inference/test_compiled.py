@@ -80,21 +80,15 @@ def test_one_point_and_many_and_a_copy_agree(density, cube):
     assert density.from_unit_cube(cube[0]).shape == (7,)
 
 
-@pytest.mark.parametrize(
-    ("call", "error", "says"),
-    [
+def test_bad_points_and_models_are_refused(density):
+    for call, error, says in (
         (lambda d: d(np.zeros(3)), ValueError, r"`theta` must be of shape \(7,\) or \(n, 7\), got \(3,\)"),
         (lambda d: d(["a"] * 7), TypeError, "`theta` must"),
         (lambda d: d.from_unit_cube(np.full(7, 1.5)), ValueError, "`u` must be between 0 and 1"),
         (lambda d: d(np.zeros(7), gradient="yes"), TypeError, "`gradient` must"),
-    ],
-)
-def test_bad_points_are_refused(density, call, error, says):
-    with pytest.raises(error, match=says):
-        call(density)
-
-
-def test_priors_without_inverse_are_named_when_the_cube_is_asked_for():
+    ):
+        with pytest.raises(error, match=says):
+            call(density)
     with pm.Model() as model:
         pm.MvNormal("z", np.zeros(2), np.eye(2))
         pm.Normal("free")
@@ -102,9 +96,6 @@ def test_priors_without_inverse_are_named_when_the_cube_is_asked_for():
     np.testing.assert_allclose(density(np.zeros(3)).prior, -1.5 * np.log(2.0 * np.pi))
     with pytest.raises(ValueError, match=r"`model` must .* cube, got z \(multivariate_normal\)\."):
         density.from_unit_cube(np.zeros(3))
-
-
-def test_discrete_parameters_are_refused():
     with pm.Model() as model:
         pm.Poisson("n", 3.0)
     with pytest.raises(ValueError, match=r"compiled_logp\(\), got discrete ones: n"):

