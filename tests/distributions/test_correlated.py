@@ -2,7 +2,6 @@
 
 import functools
 
-import arviz as az
 import numpy as np
 import pymc as pm
 import pytensor
@@ -13,7 +12,6 @@ from pytensor.gradient import NullTypeGradError
 from pytensor.graph.replace import vectorize_graph
 from scipy import linalg, optimize, stats
 
-import pymc_features
 from pymc_features import CorrelatedNormal, RayleighDamping, SpringMassChain, response, simulate
 from pymc_features.ops import (
     PopulationGradient,
@@ -23,10 +21,9 @@ from pymc_features.ops import (
     misfit_statistics,
 )
 from pymc_features.simulators import QUANTITIES
-from pymc_features.smc.density.evaluation import population_logp
 from support.graphs import LIGHT, PLAIN, our_ops, our_ops_of
 from support.refusals import refusals
-from support.structures import noise_record, three_storeys, with_first_spring, with_noise
+from support.structures import noise_record, three_storeys, with_noise
 
 DT = 0.02
 
@@ -73,11 +70,7 @@ def random_data(seed, n_sensors=3, n_times=40):
     return mu, data, 10.0 ** rng.uniform(-1, 1, n_sensors)
 
 
-# --------------------------------------------------------------------------- density
-
-
-@pytest.mark.parametrize("ratio", [1e-3, 0.3, 4.0, 1e3])
-@pytest.mark.parametrize("n_times", [1, 2, 40, 300])
+@pytest.mark.parametrize(("ratio", "n_times"), [(4.0, 1), (0.3, 2), (1e-3, 40), (4.0, 300), (1e3, 300)])
 def test_density_against_a_dense_covariance(ratio, n_times):
     """tau / dt from white to nearly constant errors; another correlation time is the negative control."""
     mu, data, sigma = random_data(n_times, n_times=n_times)
@@ -99,7 +92,7 @@ def test_white_limit_is_the_conventional_likelihood():
         np.testing.assert_allclose(evaluate(mu, sigma, tau, DT, data), norm, rtol=1e-14)
 
 
-@pytest.mark.parametrize("ratio", [1e8, 1e10, 1e12])
+@pytest.mark.parametrize("ratio", [1e8, 1e12])
 def test_nearly_constant_errors_keep_their_digits(ratio):
     """Negative control: sums of products, subtracted as the definition has them, have lost theirs."""
     r = 3.0 + 1e-3 * np.sin(np.arange(2000) / 200.0)
@@ -149,9 +142,6 @@ def test_information_is_what_the_docstring_says():
     np.testing.assert_allclose(inferred, 1.0, rtol=0.1)
 
 
-# --------------------------------------------------------------------------- kernels and Ops
-
-
 @pytest.fixture(scope="module")
 def pulse():
     return noise_record(150, DT)
@@ -199,8 +189,7 @@ def test_fused_equals_unfused(mode, settings, pulse, measured):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", ["NUMBA", "FAST_COMPILE"])
-def test_batches_become_populations(mode, pulse, measured):
+def test_batches_become_populations(pulse, measured):
     """As one by one, an invalid row alone; gradients, too: what all share gets the sum, data none."""
     mass, stiffness, batch = pt.vector("m", shape=(3,)), pt.vector("k", shape=(3,)), pt.tensor3("batch")
     chain = SpringMassChain(mass, stiffness, RayleighDamping(0.1, 1e-3))
@@ -217,7 +206,7 @@ def test_batches_become_populations(mode, pulse, measured):
     with pytest.raises(NullTypeGradError, match="Differentiate one particle"):
         pt.grad(many.sum(), data)
     single = pytensor.function([mass, stiffness, data], [one, *slopes], mode="FAST_COMPILE")
-    together = pytensor.function([mass, batch, data], [many, *gradients], mode=mode)
+    together = pytensor.function([mass, batch, data], [many, *gradients], mode="NUMBA")
     springs = np.random.default_rng(3).uniform(50.0, 150.0, (2, 3, 3))
     statistics, by_stiffness, *shared = together(np.ones(3), springs, measured)
     alone = [single(np.ones(3), k, measured) for k in springs.reshape(-1, 3)]
@@ -260,9 +249,6 @@ def test_gradient_against_complex_steps_and_differences(pulse, measured):
         assert by_data[0, i] == pytest.approx(recursive(moved, sigma[0], DT / tau[0]).imag / 1e-200, rel=1e-9)
 
 
-# --------------------------------------------------------------------------- draws
-
-
 def worst(draws, expected):
     """Largest deviation of a sample covariance (n, n) of unit normals, in its standard errors."""
     found = draws.T @ draws / len(draws)
@@ -270,19 +256,15 @@ def worst(draws, expected):
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize(
-    ("n_times", "mode"),
-    [*((n, PLAIN) for n in (1, 2, 7, 16)), (7, "NUMBA")],
-    ids=lambda x: {"NUMBA": "numba", PLAIN: "python"}.get(x),
-)
-def test_covariance_of_draws(n_times, mode):
+@pytest.mark.parametrize("n_times", [1, 7, 16])
+def test_covariance_of_draws(n_times):
     """20000 draws, blocks that are full and not: five standard errors for up to 136 entries and four
     sensors, a false alarm in 3000 seeds; a correlation time larger by a fifth is rejected.
     """
     mu, sigma = np.random.default_rng(0).normal(size=(4, n_times)), np.array([1.0, 0.1, 3.0, 1.0])
     tau = DT * np.array([0.5, 2.0, 10.0, 1e-9])
     y = CorrelatedNormal.dist(mu, sigma, tau, DT, size=(20_000, 4))
-    draws = pm.draw(y, random_seed=1, mode=mode)
+    draws = pm.draw(y, random_seed=1, mode=PLAIN)
     unit = (draws - mu) / sigma[:, None]
     for j in range(4):
         assert worst(unit[:, j], correlation(DT / tau[j], n_times)) < 5.0
@@ -309,38 +291,6 @@ def test_long_draws_are_the_recursion():
     assert stats.kstest(innovations(0.8 * tau), stats.norm.cdf).pvalue < 1e-9
 
 
-# --------------------------------------------------------------------------- inside a model
-
-
-def build_model(pulse, observed, theta=None, sigma=None, tau=None, wrap=lambda mu: mu, **kwargs):
-    """Three storeys; unknown first spring, sigma and correlation time unless they are given."""
-    with pm.Model(coords={"sensor": ["low", "middle", "top"]}) as model:
-        theta = pm.Uniform("theta", 0.5, 1.5) if theta is None else theta()
-        sigma = pm.HalfNormal("sigma", 1.0) if sigma is None else sigma()
-        tau = pm.HalfNormal("tau", 0.5) if tau is None else tau()
-        mu = wrap(response(with_first_spring(theta), pulse))
-        CorrelatedNormal("y", mu, sigma, tau, observed=observed, dims=("sensor", "time"), **kwargs)
-    return model
-
-
-ANY = {name: (lambda name=name: pm.Normal(name)) for name in ("theta", "sigma", "tau")}
-
-
-def test_population_equals_single_and_counts_failures(pulse, measured):
-    """Every particle as by `compile_logp`, -inf outside the support, failed simulations counted."""
-    model = build_model(pulse, measured, **ANY)
-    evaluation = population_logp(model, model.initial_point(), {})
-    assert evaluation.counts_simulations
-    particles = np.random.default_rng(4).uniform(0.3, 1.5, (20, 3))
-    particles[:6] = [[1, -1, 1], [1, 0, 1], [1, 1, -1], [1, 1, 0], [-1, 1, 1], [0, 1, 1]]
-    _, together, failed = evaluation(particles)
-    logp = model.compile_logp(vars=model.observed_RVs, jacobian=False)
-    alone = [float(logp(dict(zip(ANY, row, strict=True)))) for row in particles]
-    np.testing.assert_allclose(together, alone, rtol=1e-10)
-    np.testing.assert_array_equal(np.isneginf(together), np.arange(20) < 6)
-    np.testing.assert_array_equal(failed, np.isin(np.arange(20), [4, 5]))
-
-
 def test_step_as_data(pulse, measured):
     """The output step is then no constant: dt is asked for, and may be the same data."""
     with pm.Model() as model:
@@ -360,56 +310,13 @@ def test_step_as_data(pulse, measured):
         assert float(logp({"theta_log__": 0.0})) == pytest.approx(expected, rel=1e-10)
 
 
-@pytest.mark.statistical
-def test_smc_finds_the_posterior(pulse):
-    """Unknown theta: mean and sd within five Monte Carlo errors of those on a grid.
-
-    False alarms: below 1e-5. The posterior under white errors is the negative control.
-    """
-    exact = simulate(three_storeys(100.0), pulse).values
-    errors = CorrelatedNormal.dist(0.0 * exact, 1.0, 0.2, DT)
-    data = exact + pm.draw(errors, random_seed=6, mode=PLAIN)
-    fixed = {"sigma": lambda: 1.0, "tau": lambda: 0.2}
-    model = build_model(pulse, data, **fixed)
-    grid = np.linspace(0.5, 1.5, 401)
-
-    def moments(tau):
-        logp = []
-        for theta in grid:
-            r = data - simulate(with_first_spring(theta), pulse).values
-            logp.append(evaluate(0 * r, 1.0, tau, DT, r).sum())
-        weights = np.exp(np.array(logp) - max(logp))
-        mean = weights @ grid / weights.sum()
-        return mean, np.sqrt(weights @ (grid - mean) ** 2 / weights.sum())
-
-    idata = pymc_features.sample_smc(500, model=model, chains=2, cores=1, random_seed=7, progressbar=False)
-    theta = idata["posterior"]["theta"].values
-    mean, sd = moments(0.2)
-    assert abs(theta.mean() - mean) < 5 * az.mcse(theta)
-    assert abs(theta.std() - sd) < 5 * az.mcse(theta, method="sd")
-    white_mean, white_sd = moments(1e-9)
-    shift = abs(theta.mean() - white_mean) / az.mcse(theta)
-    assert max(shift, abs(theta.std() - white_sd) / az.mcse(theta, method="sd")) > 10
-
-
-# --------------------------------------------------------------------------- refusals
-
-
 BAD_PARAMETERS = {  # what is said: what is given
-    "`correlation_time` must be positive and finite, got 0.0. Pass the time in sec": {
-        "correlation_time": 0.0
-    },
+    "`correlation_time` must be positive and finite, got 0.0. Pass the time": {"correlation_time": 0.0},
     r"`correlation_time` must be positive .* got \[1.0, -1.0, 1.0\]": {"correlation_time": [1.0, -1.0, 1.0]},
-    "`correlation_time` must be positive and finite, got inf": {"correlation_time": np.inf},
-    "`correlation_time` must be a scalar or have one value for each of the 3": {
-        "correlation_time": [1.0, 2.0]
-    },
+    "`correlation_time` must be a scalar or have one value for each": {"correlation_time": [1.0, 2.0]},
     "`dt` must be positive and finite, got 0.0. Pass the sampling interval in seconds": {"dt": 0.0},
-    "`dt` must be positive and finite, got nan": {"dt": np.nan},
     "`dt` must be one number, got 1 dimensions. Pass the sampling interval": {"dt": [0.1, 0.2]},
     "`dt` must be given where `mu` is not a response .* got None. Pass the sampling interval": {"dt": None},
-    "`sigma` must be positive and finite, got -1.0": {"sigma": -1.0},
-    r"`mu` must be \(..., sensor, time\), got a scalar": {"mu": 1.0},
 }
 
 

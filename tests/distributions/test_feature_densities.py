@@ -35,14 +35,10 @@ def scipy_data(likelihood, e, sigma, n):
     return log_radius - log_area - (n - 1) / 2 * np.log(n * e)
 
 
-# --------------------------------------------------------------------------- densities
-
-
 @EVERY_FEATURE
-@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("per_sensor", [False, True])
-def test_log_likelihood_against_the_equations_and_scipy(likelihood, seed, per_sensor):
-    mu, data, sigma = random_data(seed)
+def test_log_likelihood_against_the_equations_and_scipy(likelihood, per_sensor):
+    mu, data, sigma = random_data(int(per_sensor))
     sigma = sigma if per_sensor else sigma[0]
     ours = evaluate(likelihood, "feature", "logp", mu, sigma, data).squeeze()
     assert ours.shape == (4,)
@@ -54,7 +50,7 @@ def test_log_likelihood_against_the_equations_and_scipy(likelihood, seed, per_se
 
 
 @EVERY_FEATURE
-@pytest.mark.parametrize("n_times", [1, 2, 3, 50, 3000])
+@pytest.mark.parametrize("n_times", [1, 3, 3000])
 def test_density_of_the_data_against_scipy(likelihood, n_times):
     mu, data, sigma = random_data(n_times, n_times=n_times)
     ours = evaluate(likelihood, "data", "logp", mu, sigma, data).squeeze()
@@ -87,28 +83,13 @@ def test_failed_response_and_scale_give_minus_infinity(likelihood, density):
     values = evaluate(likelihood, density, "logp", mu, 1.0, np.ones((2, 3))).ravel()
     assert values[0] == -np.inf
     assert np.isfinite(values[1])
+    for shape in ((1, 1), (1, 3)):
+        for far in (np.inf, 1e200):
+            mu = np.full(shape, far)
+            assert evaluate(likelihood, density, "logp", mu, 1.0, np.zeros(shape)) == -np.inf
     for sigma in (0.0, -1.0):
         with pytest.raises(ParameterValueError, match="sigma > 0"):
             evaluate(likelihood, density, "logp", np.zeros((2, 3)), sigma, np.ones((2, 3)))
-
-
-@pytest.mark.parametrize(
-    ("likelihood", "density", "n_times"),
-    [
-        (TruncNormalFeature, "feature", 3),
-        (ExpFeature, "feature", 3),
-        (TruncNormalFeature, "data", 3),
-        (TruncNormalFeature, "data", 1),
-        (ExpFeature, "data", 1),
-        (ExpFeature, "data", 3),
-        (GammaFeature, "feature", 3),
-        (GammaFeature, "data", 3),
-    ],
-)
-@pytest.mark.parametrize("far", [np.inf, 1e200])
-def test_infinite_discrepancy_gives_minus_infinity(likelihood, density, n_times, far):
-    mu = np.full((1, n_times), far)
-    assert evaluate(likelihood, density, "logp", mu, 1.0, np.zeros((1, n_times))) == -np.inf
 
 
 @pytest.mark.parametrize(
@@ -130,10 +111,9 @@ def test_density_of_the_data_at_no_discrepancy(likelihood, n_times, expected):
     assert got == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_degrees_of_freedom_of_the_others(seed):
+def test_degrees_of_freedom_of_the_others():
     """m = 1 is TN, m = 2 is EXP, and m = N_D with sigma / sqrt(N_D) is `pm.Normal`; control: m = 1.01."""
-    mu, data, sigma = random_data(seed)
+    mu, data, sigma = random_data(0)
 
     def logp(m, density, sigma=sigma):
         return pm.logp(GammaFeature.dist(mu, sigma, m, density=density), data).eval(mode=PLAIN)
@@ -170,14 +150,9 @@ def test_degrees_of_freedom_with_a_prior():
     with pm.Model(), pytest.raises(ValueError, match=r"`m` must be numbers .*Pass density='data'"):
         GammaFeature("y", mu, 1.0, pm.LogNormal("m"), observed=data)
 
-
-@pytest.mark.parametrize("m", [0.0, -1.0, np.nan, [1.0, 2.0]])
-def test_bad_degrees_of_freedom(m):
-    with pytest.raises(ValueError, match=r"`m` must be (positive|a scalar or have one value for each)"):
-        GammaFeature.dist(np.zeros((3, 5)), 1.0, m)
-
-
-# --------------------------------------------------------------------------- draws
+    for bad in (0.0, -1.0, np.nan, [1.0, 2.0]):
+        with pytest.raises(ValueError, match=r"`m` must be (positive|a scalar or have one value for each)"):
+            GammaFeature.dist(np.zeros((3, 5)), 1.0, bad)
 
 
 def draw(variable, draws=1, seed=0):
@@ -243,13 +218,8 @@ def test_draws_are_reproducible_and_differ(likelihood):
 @pytest.mark.parametrize(
     ("mu", "sigma", "kwargs", "expected"),
     [
-        ((5,), (), {}, (5,)),
-        ((3, 5), (), {}, (3, 5)),
-        ((3, 5), (3,), {}, (3, 5)),
         ((5,), (3,), {}, (3, 5)),
         ((3, 5), (4, 1), {}, (4, 3, 5)),
-        ((4, 3, 5), (3,), {}, (4, 3, 5)),
-        ((3, 5), (), {"size": (4, 3)}, (4, 3, 5)),
         ((3, 5), (3,), {"shape": (4, 3, 5)}, (4, 3, 5)),
         ((5,), (), {"size": (2,)}, (2, 5)),
     ],
@@ -273,9 +243,6 @@ def test_support_point_is_the_response(likelihood):
     with pm.Model() as model:
         declare(likelihood, "y", mu=mu, sigma=1.0, shape=(4, 2, 3))
     np.testing.assert_array_equal(model.initial_point()["y"], np.broadcast_to(mu, (4, 2, 3)))
-
-
-# --------------------------------------------------------------------------- calibration
 
 
 def uniformity(ranks):
@@ -340,18 +307,13 @@ def test_calibration_of_a_response(likelihood):
     assert uniformity(ranks(likelihood, "feature")) < 1e-6
 
 
-# --------------------------------------------------------------------------- refusals
-
-
 @EVERY
 @pytest.mark.parametrize(
     ("observed", "error", "match"),
     [
         (np.ones((5, 3)), ValueError, r"\(3, 5\) to match `mu`, got \(5, 3\). Transpose it: time is the"),
         (np.ones((3, 4)), ValueError, r"\(3, 5\) to match `mu`, got \(3, 4\). Give one row for each"),
-        (np.ones((2, 5)), ValueError, r"must have shape \(sensor, time\) = \(3, 5\) to match `mu`"),
         (np.ones(5), ValueError, r"must have 2 dimensions \(..., sensor, time\) .* got shape \(5,\)"),
-        (np.ones((1, 3, 5)), ValueError, r"must have 2 dimensions .* got shape \(1, 3, 5\)"),
         (np.full((3, 5), np.inf), ValueError, r"must be finite, got inf at index \(0, 0\)"),
         ([["a"] * 5] * 3, TypeError, "`observed` must be an array of numbers, got list"),
         (pytensor.shared(np.ones((5, 3))), ValueError, "Transpose it: time is the last axis"),
@@ -367,7 +329,6 @@ def test_bad_data(likelihood, observed, error, match):
     ("kwargs", "match"),
     [
         ({"sigma": 0.0}, "`sigma` must be positive and finite, got 0.0. Pass the root-mean-square"),
-        ({"sigma": -1}, "`sigma` must be positive and finite, got -1"),
         ({"sigma": np.nan}, "`sigma` must be positive and finite, got nan"),
         ({"sigma": np.inf}, "`sigma` must be positive and finite, got inf"),
         ({"sigma": [1.0, 0.0, 1.0]}, r"`sigma` must be positive and finite, got \[1.0, 0.0, 1.0\]"),

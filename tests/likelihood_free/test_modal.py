@@ -51,8 +51,7 @@ def errors(theta, data, epsilon):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [float, complex])
-@pytest.mark.parametrize("epsilon", [0.3, [0.01, 0.02, 0.03, 0.2, 0.1]], ids=["one", "each"])
+@pytest.mark.parametrize(("kind", "epsilon"), [(float, 0.3), (complex, [0.01, 0.02, 0.03, 0.2, 0.1])])
 def test_density_of_a_population_against_all_assignments(kind, epsilon):
     data = DATA | {"shapes": DATA["shapes"] * (1.0 if kind is float else 1.0 + 2.0j)}
     model = build(data, epsilon=epsilon, kernel="exponential")

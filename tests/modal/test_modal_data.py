@@ -47,13 +47,9 @@ def test_it_is_immutable(again):
     with pytest.raises(AttributeError):
         modal.name = "another"
     assert modal.channels == whole().channels
-
-
-def test_it_is_a_copy():
     given = np.array(F)
-    modal = ModalData(given)
-    given[0] = 9.0
-    assert modal.frequencies[0] == 1.2
+    modal, given[0] = ModalData(given), 9.0
+    assert modal.frequencies[0] == 1.2, "it is a copy"
 
 
 VALUES = {
@@ -63,7 +59,6 @@ VALUES = {
     "`channels` must have different names, got roof more than once": (F, SHAPES, ["roof", " roof"]),
     "`channels` must have a name each, got none at index 1": (F, SHAPES, ["roof", " "]),
     "`channels` must be left out without `shapes`, got 1 names": (F, None, ["roof"]),
-    r"must have shape \(mode, channel\) = \(3, 2\), got \(2, 3\)": (F, np.transpose(SHAPES), NAMES),
     r"must have shape \(mode, channel\) = \(3, 1\), got \(3, 2\). Pass a name": (F, SHAPES, ["roof"]),
     "`shapes` must be finite, or NaN where nothing was measured": (F, [[1.0, np.inf], *SHAPES[1:]], NAMES),
     "an entry that is not zero in each mode, got none in": (F, [SHAPES[0], [0.0, NAN], SHAPES[2]], NAMES),
@@ -71,7 +66,6 @@ VALUES = {
     "`frequency_sd` must be positive, got 0.0 Hz. Leave it out": (F, None, (), [0.1, 0.0, 0.1]),
     "`frequency_sd` must be finite, got nan at index 2. Leave it out": (F, None, (), [0.1, 0.1, NAN]),
     "must be fractions from 0 to 1, got 1.2. Divide a percentage by": (F, None, (), None, [1.2, 0.5, 0.8]),
-    "must be fractions from 0 to 1, got -0.01.*leave out modes of": (F, None, (), None, [-0.01, 0.5, 0.8]),
     "`damping_sd` must be at least 0, or NaN where it is not": (F, None, (), None, None, [0.1, -1.0, 0.1]),
     r"`shape_sd` must have the shape of `shapes`, \(3": (F, SHAPES, NAMES, None, None, None, [0.1, 0.1, 0.1]),
     "`shape_sd` must have the shape of `shapes`, None, got": (F, None, (), None, None, None, SHAPES),
@@ -105,7 +99,6 @@ SELECTIONS = {
         "channels": ["roof", "attic"]
     },
     "`modes` must be indices from 0 to 2, got 3": {"modes": [0, 3]},
-    "`modes` must be indices from 0 to 2, got True": {"modes": [True]},
 }
 
 
@@ -125,9 +118,6 @@ def test_shapes_that_are_not_there():
             use(ModalData(F))
 
 
-# --- complex shapes -----------------------------------------------------------------------------
-
-
 def random_complex(seed, spread):
     """A real shape (8,), and a copy whose phases spread, turned by an angle."""
     rng = np.random.default_rng(seed)
@@ -135,17 +125,16 @@ def random_complex(seed, spread):
     return shape, shape * np.exp(1j * (spread * rng.standard_normal(8) + rng.uniform(-np.pi, np.pi)))
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("spread", [0.05, 0.5, 2.0])
-def test_phase_collinearity_is_that_of_the_principal_axes(seed, spread):
+@pytest.mark.parametrize("spread", [0.05, 2.0])
+def test_phase_collinearity_is_that_of_the_principal_axes(spread):
     """((s_1^2 - s_2^2) / (s_1^2 + s_2^2))^2, with the singular values of the two columns Re and Im."""
-    _, shape = random_complex(seed, spread)
+    _, shape = random_complex(0, spread)
     s = np.linalg.svd(np.column_stack([shape.real, shape.imag]), compute_uv=False) ** 2
     modal = ModalData([1.0], [shape], [str(k) for k in range(8)])
     assert modal.phase_collinearity == pytest.approx([((s[0] - s[1]) / (s[0] + s[1])) ** 2], abs=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_real_shape_leaves_the_least_imaginary_part(seed):
     """Beside all angles of half a turn, a hundred thousand of them."""
     _, shape = random_complex(seed, 0.3)
@@ -179,4 +168,6 @@ def test_mac(scale):
     np.testing.assert_allclose(mac([scale * a], [b]), [[expected]], rtol=1e-12)
     gaps = np.where(np.arange(6) < 2, np.nan, b)
     np.testing.assert_allclose(mac([a], [gaps]), mac([a[2:]], [b[2:]]), rtol=1e-12)
-    assert np.isnan(mac(np.zeros((1, 3)), np.ones((1, 3))))
+    assert np.isnan(mac(np.zeros((1, 3)), np.ones((1, 3)))) and np.isnan(mac([[1.0, NAN]], [[NAN, 1.0]]))
+    with pytest.raises(ValueError, match="rows of equal length"):
+        mac([a], [b[:2]])
