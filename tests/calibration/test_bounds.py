@@ -1,7 +1,4 @@
-"""Calibrated intervals where the prior ends near to the likelihood's maximum: coverage, shape, words.
-
-Data by `benchmarks.truth`, errors persistent for 0.05 s.
-"""
+"""Calibrated intervals where the prior ends near to the likelihood's maximum: coverage, shape, words."""
 
 import json
 
@@ -17,8 +14,8 @@ from benchmarks.coverage.bounds import LOWEST, PLACES, bounded, coverage, declar
 from benchmarks.coverage.errors import LEVEL, measurements
 from calibration.test_sandwich import errors_of, regression
 from pymc_features.calibration.maxima import climb_likelihood, peak_at
-from pymc_features.calibration.residuals import Coordinates, Predictions, bounds_of
-from pymc_features.calibration.stretched import CutNormal, curved
+from pymc_features.calibration.residuals import Predictions, bounds_of
+from pymc_features.calibration.stretched import curved
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import Unconstrained, to_unconstrained
 
@@ -27,7 +24,7 @@ SETTINGS = {"chains": 2, "random_seed": 1, "progressbar": False}
 
 @pytest.mark.statistical
 @pytest.mark.slow
-@pytest.mark.parametrize("place", ["at it", "2 sds within", "0 to 4 sds within"])
+@pytest.mark.parametrize("place", ["at it", "0 to 4 sds within"])
 def test_coverage_at_a_bound(place):
     """Of 100 data sets 82 to 99 % hold the truth: where 95 % do, a false alarm is one in 150."""
     inside, _ = coverage(PLACES[place], 100)
@@ -188,36 +185,3 @@ def test_bounds_of_priors():
     inf = np.inf
     np.testing.assert_allclose(low, [0.0, 0.0, 1.0, -1.0, -inf, 0.0, -inf, -inf, -inf, 0.0])
     np.testing.assert_allclose(high, [inf, 2.0, 3.0, inf, 4.0, 1.0, inf, inf, inf, 5.0])
-
-
-SIDES = np.array([0, 1, 2, 1, 2])
-SOME = Coordinates(SIDES, np.array([False, True, True, False, True]), np.array([0.4, -1.9, 1.6, 0.8, -3.9]))
-
-
-def test_coordinates():
-    """There and back, slopes by differences, and rooms to both bounds; nothing overflows far away."""
-    z = SOME.origin - 0.1
-    np.testing.assert_allclose(SOME.unconstrained(SOME.of(z)), z)
-    slopes = [(SOME.of(z + h) - SOME.of(z - h)) / 2e-6 for h in 1e-6 * np.eye(5)]
-    np.testing.assert_allclose(np.diag(slopes), SOME.slopes(z), rtol=1e-6)
-    rooms, _ = SOME.rooms(z)
-    np.testing.assert_allclose(
-        rooms[:, 1:4].T, [[np.exp(-0.1), np.inf], [0.817574, 0.182426], [np.exp(-0.1), np.inf]], rtol=1e-5
-    )
-    assert np.isfinite(SOME._replace(near=SIDES > 0).of(z + 2000.0)).all()
-
-
-def test_normal_distributions_that_are_cut():
-    """A map to standard normal numbers, on both sides and far out, and back; its density by differences."""
-    mean = np.array([0.2, -3.0, 1.2, 0.5, -0.3])
-    factor, follow = np.array([[0.5, 0.0], [0.2, 0.3]]), np.array([[0.4, 0.1, 0.0], [0.0, 0.2, -0.3]])
-    cut = CutNormal(SOME, mean, np.array([0.8, 0.1, 0.02]), follow, factor)
-    u = np.random.default_rng(1).normal(size=(200, 5))
-    z = cut.inverse(u)
-    back, log_density = cut.forward(z)
-    np.testing.assert_allclose(back, u, atol=1e-6)
-    ends = [[cut.inverse(u + sign * h) for h in 1e-5 * np.eye(5)] for sign in (1.0, -1.0)]
-    slopes = np.subtract(*ends).swapaxes(0, 1) / 2e-5  # (point, of u, of z)
-    np.testing.assert_allclose(-np.linalg.slogdet(slopes)[1], log_density, atol=1e-5)
-    far = cut.inverse(np.array([[0.0, 9.0, 9.0, 0.0, 9.0], [0.0, -9.0, -9.0, 0.0, -9.0]]))
-    assert np.isfinite(far).all()

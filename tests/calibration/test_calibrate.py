@@ -8,15 +8,8 @@ import pytest
 import xarray as xr
 from scipy.stats import beta, kstest
 
+import pymc_features as pmf
 from calibration.test_sandwich import DT, N_TIMES, errors_of, first_order, regression
-from pymc_features import (
-    CorrelatedNormal,
-    ExpFeature,
-    GammaFeature,
-    TruncNormalFeature,
-    calibrate,
-    effective_samples,
-)
 from pymc_features.calibration.stretched import Expansion, Stretched
 from pymc_features.exceptions import CalibrationWarning
 
@@ -24,10 +17,10 @@ TAU = 0.3
 SIGNALS = regression()
 LIKELIHOODS = {
     "NORM": lambda mu, sigma, y: pm.Normal("y", mu, sigma, observed=y),
-    "TN": lambda mu, sigma, y: TruncNormalFeature("y", mu, sigma, observed=y),
-    "EXP": lambda mu, sigma, y: ExpFeature("y", mu, sigma, observed=y),
-    "m": lambda mu, sigma, y: GammaFeature("y", mu, sigma, 7.5, observed=y),
-    "CN": lambda mu, sigma, y: CorrelatedNormal("y", mu, sigma, correlation_time=TAU, dt=DT, observed=y),
+    "TN": lambda mu, sigma, y: pmf.TruncNormalFeature("y", mu, sigma, observed=y),
+    "EXP": lambda mu, sigma, y: pmf.ExpFeature("y", mu, sigma, observed=y),
+    "m": lambda mu, sigma, y: pmf.GammaFeature("y", mu, sigma, 7.5, observed=y),
+    "CN": lambda mu, sigma, y: pmf.CorrelatedNormal("y", mu, sigma, correlation_time=TAU, dt=DT, observed=y),
 }
 
 
@@ -53,7 +46,7 @@ def at(*theta, sigma=0.1):
 def calibrated(model, *theta, draws=500, seed=1, **settings):
     """The result of CAL, and its draws of theta (n, 2)."""
     settings = {"chains": 2, "random_seed": seed, "progressbar": False} | settings
-    found = calibrate(at(*theta or (1.0, 2.0)), model=model, draws=draws, **settings)
+    found = pmf.calibrate(at(*theta or (1.0, 2.0)), model=model, draws=draws, **settings)
     return found, found["posterior"]["theta"].values.reshape(-1, 2)
 
 
@@ -87,12 +80,12 @@ def test_every_likelihood_supports_the_same(kind, y, least_squares):
     Control: what independent errors of the same size would give is far too small.
     """
     estimate, truth, white = least_squares
-    found = effective_samples(at(0.9, 1.8), model=declare(kind, y))
+    found = pmf.effective_samples(at(0.9, 1.8), model=declare(kind, y))
     np.testing.assert_allclose(found["point"][:2], estimate, atol=1e-3 * np.sqrt(truth.diagonal().min()))
     widths = found["standard_deviation"].values[:2]
     np.testing.assert_allclose(widths, np.sqrt(np.diag(truth)), rtol=0.4)
     assert widths[0] > 2.0 * np.sqrt(white[0, 0])
-    reference = effective_samples(at(1.0, 2.0), model=declare("NORM", y))
+    reference = pmf.effective_samples(at(1.0, 2.0), model=declare("NORM", y))
     np.testing.assert_allclose(found["covariance"][:2, :2], reference["covariance"][:2, :2], rtol=0.01)
     np.testing.assert_allclose(found["n_eff"], reference["n_eff"], rtol=0.01)
     assert found["n_eff_direction"][0] < 0.25 * 4 * N_TIMES
@@ -101,7 +94,7 @@ def test_every_likelihood_supports_the_same(kind, y, least_squares):
 
 def test_a_right_likelihood_claims_what_it_knows(y):
     """Errors whose correlation is known: all samples count; those of NORM do not."""
-    found = effective_samples(at(1.0, 2.0), model=declare("CN", y))
+    found = pmf.effective_samples(at(1.0, 2.0), model=declare("CN", y))
     assert found.attrs["n_eff"] == pytest.approx(4 * N_TIMES, rel=0.3)
 
 
@@ -111,14 +104,14 @@ def test_where_climbs_begin(y, least_squares):
     """
     estimate, truth, _ = least_squares
     idata, model = at(0.9, 1.8), declare("EXP", y)
-    alone = effective_samples(idata, model=model)
+    alone = pmf.effective_samples(idata, model=model)
     idata["modes"] = xr.Dataset({"theta": (("mode", "i"), [[5.0, 5.0], estimate])})
-    assert effective_samples(idata, model=model).n_evaluations == alone.n_evaluations
+    assert pmf.effective_samples(idata, model=model).n_evaluations == alone.n_evaluations
     sigma = float(np.exp(alone["point"][2]))
     idata["modes"] = xr.Dataset({**idata["modes"].data_vars, "sigma": ("mode", [0.1, sigma])})
-    found = effective_samples(idata, model=model)
+    found = pmf.effective_samples(idata, model=model)
     assert found.n_evaluations < alone.n_evaluations
-    for other in (found, effective_samples(model, random_seed=1)):
+    for other in (found, pmf.effective_samples(model, random_seed=1)):
         atol = 1e-3 * np.sqrt(truth.diagonal().min())
         np.testing.assert_allclose(other["point"][:2], alone["point"][:2], atol=atol)
         np.testing.assert_allclose(other["covariance"][:2, :2], alone["covariance"][:2, :2], rtol=1e-3)
@@ -127,7 +120,7 @@ def test_where_climbs_begin(y, least_squares):
 def test_shares_have_fewer_coordinates_than_values(y):
     """Those of a Dirichlet prior, beside a sigma that has a bound."""
     model = declare("NORM", y, lambda: 3.0 * pm.Dirichlet("theta", np.ones(2)))
-    found = effective_samples(at(0.3, 0.7), model=model)
+    found = pmf.effective_samples(at(0.3, 0.7), model=model)
     assert found["parameter"].values.tolist() == ["theta[0]", "sigma"]
     assert found["changes_response"].values.tolist() == [True, False]
 
@@ -136,8 +129,8 @@ def test_records_in_one_model_add_up(y):
     """Two records with independent errors: A and B are sums."""
     with declare("NORM", y) as model:
         pm.Normal("z", pm.math.dot(SIGNALS, model["theta"]), model["sigma"], observed=data(seed=7))
-    both = effective_samples(at(1.0, 2.0), model=model)
-    one = effective_samples(at(1.0, 2.0), model=declare("NORM", y))
+    both = pmf.effective_samples(at(1.0, 2.0), model=model)
+    one = pmf.effective_samples(at(1.0, 2.0), model=declare("NORM", y))
     assert both.sizes["sensor"] == 8
     ratio = one["standard_deviation"][:2] / both["standard_deviation"][:2]
     np.testing.assert_allclose(ratio, np.sqrt(2.0), rtol=0.25)
@@ -157,7 +150,7 @@ def test_posterior_has_the_covariance_that_the_residuals_support(kind, y):
 def test_priors_keep_their_meaning(y, least_squares):
     """A bound is not crossed; an informative prior multiplies the calibrated likelihood, in closed form."""
     estimate, *_ = least_squares
-    covariance = effective_samples(at(1.0, 2.0), model=declare("NORM", y))["covariance"].values[:2, :2]
+    covariance = pmf.effective_samples(at(1.0, 2.0), model=declare("NORM", y))["covariance"].values[:2, :2]
     width = np.sqrt(covariance[0, 0])
     high = estimate[0] + 0.3 * width
     model = declare("NORM", y, lambda: pm.Uniform("theta", [-5.0, -5.0], [high, 5.0]))
@@ -214,7 +207,7 @@ def test_every_mode_has_its_weight(y):
         pm.Normal("y", SIGNALS[..., 0] * root**2 + SIGNALS[..., 1] * 2.0, 0.1, observed=y)
     draws = np.random.default_rng(1).choice([1.0, -1.0], p=[0.9, 0.1], size=(2, 200))
     idata = xr.DataTree.from_dict({"posterior": xr.Dataset({"theta": (("chain", "draw"), draws)})})
-    found = calibrate(idata, model=model, draws=500, random_seed=5, progressbar=False)
+    found = pmf.calibrate(idata, model=model, draws=500, random_seed=5, progressbar=False)
     theta, weight = found["posterior"]["theta"].values, found["calibration"]["weight"].values
     right = 1.0 / (1.0 + np.exp(-0.6))
     assert weight.max() == pytest.approx(right, abs=0.02)
@@ -234,44 +227,41 @@ def test_what_the_data_do_not_know_keeps_its_prior(y):
         pm.Beta("idle", 2.0, 5.0)
     idata = at(1.0, 2.0)
     idata["posterior"]["idle"] = xr.DataArray([[0.3]], dims=("chain", "draw"))
-    found = calibrate(idata, model=model, draws=500, chains=2, random_seed=7, progressbar=False)
+    found = pmf.calibrate(idata, model=model, draws=500, chains=2, random_seed=7, progressbar=False)
     assert kstest(found["posterior"]["idle"].values.ravel(), beta(2.0, 5.0).cdf).pvalue > 1e-3
     assert np.isnan(found["calibration"]["standard_deviation"].values[-1])
-
-
-# --------------------------------------------------------------------------- refusals
 
 
 def test_other_models_are_refused(y):
     with pm.Model() as model:
         pm.StudentT("y", 3.0, pm.Normal("theta"), observed=y)
     with pytest.raises(TypeError, match="must have Normal, CorrelatedNormal or feature .* got StudentT"):
-        effective_samples(model)
+        pmf.effective_samples(model)
     with pm.Model() as model:
         pm.Normal("theta")
     with pytest.raises(ValueError, match="`model` must have observed variables, got none"):
-        effective_samples(model)
+        pmf.effective_samples(model)
     with pytest.raises(TypeError, match="`idata` must be a DataTree with a group `posterior`, got"):
-        calibrate(xr.Dataset(), model=declare("NORM", y))
+        pmf.calibrate(xr.Dataset(), model=declare("NORM", y))
 
 
 def test_data_without_noise_are_refused(y):
     """All of them, and a dead channel: neither signal nor misfit."""
     with pytest.raises(ValueError, match="the residuals of y must not vanish"):
-        effective_samples(at(1.0, 2.0), model=declare("NORM", SIGNALS @ [1.0, 2.0]))
+        pmf.effective_samples(at(1.0, 2.0), model=declare("NORM", SIGNALS @ [1.0, 2.0]))
     alive = np.array([[1.0], [0.0]])
     with pm.Model() as model:
         pm.Normal("y", pm.Normal("a") * SIGNALS[:2, :, 0] * alive, 1.0, observed=y[:2] * alive)
     posterior = xr.Dataset({"a": (("chain", "draw"), [[1.0]])})
     with pytest.raises(ValueError, match="the residuals of y must not vanish, got none at sensor 1"):
-        effective_samples(xr.DataTree.from_dict({"posterior": posterior}), model=model)
+        pmf.effective_samples(xr.DataTree.from_dict({"posterior": posterior}), model=model)
 
 
 def test_a_record_that_is_too_short_is_warned_of():
     """Errors that persist for half of the record. Control: white ones."""
     drift = first_order(np.random.default_rng(9), (4, N_TIMES), np.exp(-DT / 6.0))
     with pytest.warns(CalibrationWarning, match=r"the errors of y persist for .* s of a record of 12 s"):
-        effective_samples(at(1.0, 2.0), model=declare("CN", SIGNALS @ [1.0, 2.0] + drift))
+        pmf.effective_samples(at(1.0, 2.0), model=declare("CN", SIGNALS @ [1.0, 2.0] + drift))
     with warnings.catch_warnings():
         warnings.simplefilter("error", CalibrationWarning)
-        effective_samples(at(1.0, 2.0), model=declare("NORM", data("white")))
+        pmf.effective_samples(at(1.0, 2.0), model=declare("NORM", data("white")))

