@@ -12,6 +12,7 @@ import pytest
 from scipy import stats
 
 import pymc_features as pmf
+from pymc_features.inference.cross_check import tails_are_light
 
 QUIET = {"progressbar": False, "cores": 1, "chains": 2}
 
@@ -132,6 +133,20 @@ def test_no_alarm_where_nothing_is_missing(name):
         assert found["check_repeats"] == 0, found["check"]
         assert "found no other part" in found["check"]
         assert "climbs" not in found["advice"]
+
+
+@pytest.mark.parametrize("width, light", [(1.0, False), (0.7, True)])
+def test_light_tails(width, light):
+    """Draws of a normal distribution, right and too narrow, beside weighted ones of a wider distribution.
+
+    Weights of ones from a much narrower distribution have no variance: nothing can be told.
+    """
+    rng = np.random.default_rng(1)
+    draws, z = width * rng.standard_normal((2000, 3)), rng.standard_normal((5000, 3))
+    for scale, expected in ((1.3, light), (0.4, None)):
+        x = scale * z
+        log_weights = (stats.norm.logpdf(x) - stats.norm.logpdf(x, scale=scale)).sum(axis=1)
+        assert tails_are_light(log_weights, x, draws) is expected
 
 
 def test_what_cannot_be_checked_is_said():

@@ -318,28 +318,6 @@ def test_fisher_of_a_structure(kind, record, example):
     )
 
 
-@pytest.mark.parametrize("kind", LIKELIHOODS)
-def test_fisher_against_the_posterior(kind, example):
-    """For NORM the bound is the posterior's standard deviation; TN's tail is longer than the bound says."""
-    point = dict(zip(("theta", "sigma"), example.exact[kind].map, strict=True))
-    bound = float(pmf.fisher_information(example.models[kind], point)["standard_deviation"][0])
-    sd = example.exact[kind].theta.quantile((np.arange(10_000) + 0.5) / 10_000).std()
-    # 1, 1.118 (the root of 20 / 16) and about 1.3, by quadrature
-    assert sd / bound == pytest.approx({"NORM": 1.0, "EXP": 1.118, "TN": 1.3}[kind], rel=0.02)
-
-
-def test_fisher_does_not_grow_with_the_sampling_rate(record):
-    """Under TN; under a Normal it doubles with twice the samples."""
-    finest = paper.measurements(record, random_seed=0)
-    for kind, growth in (("TN", 1.0), ("NORM", 2.0)):
-        information = []
-        for step in (0.5, 1.0):
-            model = declare(kind, record, paper.decimate(finest, step * record.dt))
-            found = pmf.fisher_information(model, {"theta": 1.0, "sigma": 0.1})
-            information.append(float(found["information"][0, 0]))
-        assert information[0] / information[1] == pytest.approx(growth, rel=0.02)
-
-
 def test_fisher_names_what_cannot_be_identified(record):
     """Mass and stiffness by a common factor leave the response unchanged."""
     with pm.Model() as model:
