@@ -14,8 +14,8 @@ from benchmarks.coverage.bounds import LOWEST, PLACES, bounded, coverage, declar
 from benchmarks.coverage.errors import LEVEL, measurements
 from calibration.test_sandwich import errors_of, regression
 from pymc_features.calibration.maxima import climb_likelihood, peak_at
-from pymc_features.calibration.residuals import Predictions, bounds_of
-from pymc_features.calibration.stretched import curved
+from pymc_features.calibration.residuals import Coordinates, Predictions, bounds_of
+from pymc_features.calibration.stretched import CutNormal, curved
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import Unconstrained, to_unconstrained
 
@@ -185,3 +185,21 @@ def test_bounds_of_priors():
     inf = np.inf
     np.testing.assert_allclose(low, [0.0, 0.0, 1.0, -1.0, -inf, 0.0, -inf, -inf, -inf, 0.0])
     np.testing.assert_allclose(high, [inf, 2.0, 3.0, inf, 4.0, 1.0, inf, inf, inf, 5.0])
+
+
+def test_normal_distributions_that_are_cut():
+    """A map to standard normal numbers, on both sides and far out, and back; its density by differences."""
+    mean = np.array([0.2, -3.0, 1.2, 0.5, -0.3])
+    factor, follow = np.array([[0.5, 0.0], [0.2, 0.3]]), np.array([[0.4, 0.1, 0.0], [0.0, 0.2, -0.3]])
+    sides, near = np.array([0, 1, 2, 1, 2]), np.array([False, True, True, False, True])
+    coordinates = Coordinates(sides, near, np.array([0.4, -1.9, 1.6, 0.8, -3.9]))
+    cut = CutNormal(coordinates, mean, np.array([0.8, 0.1, 0.02]), follow, factor)
+    u = np.random.default_rng(1).normal(size=(200, 5))
+    z = cut.inverse(u)
+    back, log_density = cut.forward(z)
+    np.testing.assert_allclose(back, u, atol=1e-6)
+    ends = [[cut.inverse(u + sign * h) for h in 1e-5 * np.eye(5)] for sign in (1.0, -1.0)]
+    slopes = np.subtract(*ends).swapaxes(0, 1) / 2e-5  # (point, of u, of z)
+    np.testing.assert_allclose(-np.linalg.slogdet(slopes)[1], log_density, atol=1e-5)
+    far = cut.inverse(np.array([[0.0, 9.0, 9.0, 0.0, 9.0], [0.0, -9.0, -9.0, 0.0, -9.0]]))
+    assert np.isfinite(far).all()
