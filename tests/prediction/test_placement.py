@@ -9,6 +9,7 @@ import xarray as xr
 
 import pymc_features as pmf
 from pymc_features.prediction.sensors import Information, best_sensors, gram_matrices
+from support.refusals import refusals
 
 CRITERIA = ("D", "A", "prediction")
 N, TIMES = 10, 40
@@ -111,23 +112,20 @@ def test_of_a_structure():
     axes = pmf.plot_sensor_placement(found)
     assert len(axes) == 2 and [t.get_text() for t in axes[0].texts] == ["1", "2"]
     pmf.plots.close(axes)
-
-
-def test_bad_input():
-    model = linear(np.ones((3, 4, 1)))
-    with pytest.raises(ValueError, match="`n` must be an integer from 1 to 3, got 4"):
-        pmf.sensor_placement(model, None, 4)
-    with pytest.raises(ValueError, match="`candidates` must be different ones of"):
-        pmf.sensor_placement(model, [0, 9], 1)
-    with pytest.raises(ValueError, match="`criterion` must be one of D, A, prediction, got 'E'"):
-        pmf.sensor_placement(model, None, 1, "E")
-    with pytest.raises(ValueError, match="`positions` must be all different"):
-        pmf.sensor_placement(model, None, 1, positions=[0.0, 1.0, 1.0])
-    with pytest.raises(
-        ValueError, match="`positions` must be of shape \\(3,\\) or \\(3, axis\\), got \\(2, 1\\)"
-    ):
-        pmf.sensor_placement(model, None, 1, positions=[0.0, 1.0])
-    with pytest.raises(TypeError, match="`settings` must be draws or random_seed, got seed"):
-        pmf.sensor_placement(model, None, 1, seed=1)
     with pytest.raises(TypeError, match="`result` must be a Dataset"):
         pmf.plot_sensor_placement(None)
+
+
+REFUSED = {  # what is said: what is given
+    "`n` must be an integer from 1 to 3, got 4": {"n": 4},
+    "`candidates` must be different ones of": {"candidates": [0, 9]},
+    "`criterion` must be one of D, A, prediction, got 'E'": {"criterion": "E"},
+    "`positions` must be all different": {"positions": [0.0, 1.0, 1.0]},
+    r"`positions` must be of shape \(3,\) or \(3, axis\), got \(2, 1\)": {"positions": [0.0, 1.0]},
+}
+
+
+@refusals("given", REFUSED, {"`settings` must be draws or random_seed, got seed": {"seed": 1}})
+def test_bad_input(given, error, match):
+    with pytest.raises(error, match=match):
+        pmf.sensor_placement(linear(np.ones((3, 4, 1))), **({"candidates": None, "n": 1} | given))

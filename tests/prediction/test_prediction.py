@@ -1,5 +1,6 @@
 """Bands of responses and first-passage probabilities against brute force, mechanics and closed forms."""
 
+import tempfile
 import tracemalloc
 import warnings
 
@@ -9,12 +10,11 @@ import pytensor.tensor as pt
 import pytest
 import xarray as xr
 from scipy import stats
-from scipy.optimize import brentq
 
 import pymc_features as pmf
 from benchmarks import truth
 from pymc_features import plots, simulators
-from pymc_features.prediction import histories
+from pymc_features.prediction import ensemble, histories, simulated
 from pymc_features.prediction.first_passage import standard_error
 from support.refusals import refusals
 from support.sampling import SERIAL
@@ -28,9 +28,19 @@ UNITS = {
     "inter_storey_drift": "m",
     "base_shear": "N",
 }
-DIM = dict.fromkeys(simulators.QUANTITIES, "sensor") | {"inter_storey_drift": "storey", "base_shear": "row"}
-SHAKE = pmf.synthetic_earthquake(6.0, 0.02, random_seed=5, pga=3.0)
-OTHER = pmf.synthetic_earthquake(4.0, 0.01, random_seed=8, pga=2.0)
+SHAKE = pmf.synthetic_earthquake(4.0, 0.02, random_seed=5, pga=3.0)
+OTHER = pmf.synthetic_earthquake(3.0, 0.01, random_seed=8, pga=2.0)
+LOADS = {
+    "two supports": pmf.Loading(np.random.default_rng(2).normal(size=(2, 80)), 0.02, name="two"),
+    "forces": pmf.Loading(
+        np.random.default_rng(3).normal(size=(2, 80)), 0.02, kind="force", matrix=[[1, 0], [0, 2], [3, -1]]
+    ),
+    "nodal forces": pmf.Loading(np.random.default_rng(4).normal(size=(3, 80)), 0.02, kind="force"),
+}
+RAYLEIGH = pmf.RayleighDamping(0.3, 2e-3)
+MASS = np.array([3.0, 2.0, 1.0])
+DRIFTS = np.eye(3) - np.eye(3, k=-1)
+SHARE = np.array([[0.9, 0.1], [0.6, 0.4], [0.2, 0.8]])
 
 
 def posterior(**variables):
@@ -43,104 +53,173 @@ def posterior(**variables):
     return xr.DataTree.from_dict({"posterior": xr.Dataset(data)})
 
 
-def three_storeys(k, damping=0.05, mass=(3.0, 2.0, 1.0)):
-    """Three unequal masses on springs of 400 k N/m."""
-    return pmf.SpringMassChain(mass, 400.0 * np.asarray(k) * np.ones(3), pmf.ModalDamping(damping))
-
-
 @pytest.fixture(scope="module")
 def idata():
-    """Three springs and a damping ratio, two chains of 60 draws, chains numbered otherwise than by place."""
+    """Three springs and a damping ratio, two chains of 15 draws, chains numbered otherwise than by place."""
     rng = np.random.default_rng(1)
-    tree = posterior(
-        k=np.exp(0.3 * rng.normal(size=(2, 60, 3))),
-        damping=rng.uniform(0.01, 0.1, (2, 60)),
-        sigma=np.ones((2, 60)),
-    )
+    k, damping = np.exp(0.3 * rng.normal(size=(2, 15, 3))), rng.uniform(0.01, 0.1, (2, 15))
+    tree = posterior(k=k, damping=damping, sigma=np.ones((2, 15)))
     tree["posterior"] = xr.DataTree(tree["posterior"].to_dataset().assign_coords(chain=[3, 7]))
     return tree
 
 
-def all_structures(idata):
+def chain(k, damping=0.05, mass=MASS):
+    """Three unequal masses on springs of 400 k N/m."""
+    return pmf.SpringMassChain(mass, 400.0 * np.asarray(k) * np.ones(3), pmf.ModalDamping(damping))
+
+
+def frame(k, influence=None):
+    """The same chain by its matrices."""
+    mass, _, stiffness = chain(k).matrices()
+    return pmf.LinearStructure(mass, stiffness=stiffness, damping=RAYLEIGH, influence=influence)
+
+
+def dashpot(k):
+    """With a dashpot at the top that couples the modes."""
+    mass, damping, stiffness = frame(k).matrices()
+    damping[2, 2] += 2.0
+    return pmf.LinearStructure(mass, stiffness=stiffness, damping=damping)
+
+
+def two_supports(k):
+    return frame(k, SHARE)
+
+
+def without_top_mass(k):
+    """The top has no mass and follows the floor below."""
+    mass, _, stiffness = chain(k).matrices()
+    mass[2, 2] = 0.0
+    return pmf.LinearStructure(mass, stiffness=stiffness, damping=RAYLEIGH)
+
+
+def bouc_wen(k):
+    return pmf.HystereticChain(MASS, 400.0 * k, RAYLEIGH, yield_displacement=0.01, post_yield_ratio=0.1)
+
+
+def duffing(k):
+    return pmf.DuffingChain(MASS, 400.0 * k, RAYLEIGH, cubic=2e5)
+
+
+def of_several_kinds(k):
+    """Chains, modes, coupled damping and Bouc-Wen springs in turn."""
+    return (chain, dashpot, frame, bouc_wen)[int(1e6 * k[0]) % 4](k)
+
+
+def structures_of(idata, structure):
     draws = idata["posterior"].to_dataset()
-    return [
-        three_storeys(draws["k"].values[c, d], draws["damping"].values[c, d])
-        for c, d in np.ndindex(draws["damping"].shape)
-    ]
+    values = zip(draws["k"].values.reshape(-1, 3), draws["damping"].values.ravel(), strict=True)
+    return [chain(*pair) if structure is chain else structure(pair[0]) for pair in values]
 
 
-def slow_history(structure, record, name, **settings):
-    """(row, time) by `simulate` and the definition of each quantity: the obvious way."""
-    if name == "inter_storey_drift":
-        x = pmf.simulate(structure, record, quantity="relative_displacement", **settings).values
-        return np.array([x[0], x[1] - x[0], x[2] - x[1]])
-    if name == "base_shear":
-        a = pmf.simulate(structure, record, **settings).values
-        return (3.0 * a[0] + 2.0 * a[1] + 1.0 * a[2])[None]
-    return pmf.simulate(structure, record, quantity=name, **settings).values
+def slow_history(structure, load, name, **settings):
+    """(..., time) by `simulate`; drift and shear of a chain by their definitions: the obvious way."""
+    if isinstance(structure, pmf.SpringMassChain) and name == "inter_storey_drift":
+        x = pmf.simulate(structure, load, quantity="relative_displacement", **settings).values
+        return np.diff(x, axis=0, prepend=0.0)
+    if isinstance(structure, pmf.SpringMassChain) and name == "base_shear":
+        return structure.mass @ pmf.simulate(structure, load, **settings).values
+    return pmf.simulate(structure, load, quantity=name, **settings).values
+
+
+def assert_bands(found, name, slow):
+    """Bands, mean and peaks of a quantity against those of all histories (sample, ..., time)."""
+    expected = {
+        name: np.quantile(slow, found["quantile"], axis=0),
+        f"{name}_mean": slow.mean(axis=0),
+        f"{name}_peak": np.abs(slow).max(axis=-1),
+    }
+    for key, values in expected.items():
+        assert found[key].shape == values.shape, key
+        atol = 1e-12 * np.abs(slow).max()
+        np.testing.assert_allclose(found[key], values, rtol=0, atol=atol, err_msg=key)
+        assert found[key].attrs["units"] == UNITS[name]
 
 
 # --------------------------------------------------------------------------- bands
 
+BLOCKS = 8 * 30 * 3 * 7  # bytes, of 7 samples
+CASES = [  # structure, load, settings of the response, bytes of memory
+    (chain, SHAKE, {}, BLOCKS),
+    (chain, SHAKE, {"dt": 0.01, "n_modes": 2}, histories.MEMORY),
+    (chain, SHAKE, {"dt": 0.04}, 1),
+    (chain, OTHER, {"dt": 0.02}, histories.MEMORY),
+    (frame, OTHER, {"dt": 0.02, "n_modes": 1}, histories.MEMORY),
+    *((two_supports, load, {}, histories.MEMORY) for load in LOADS.values()),
+    (two_supports, LOADS["forces"], {"dt": 0.01, "n_modes": 2}, histories.MEMORY),
+    (without_top_mass, SHAKE, {}, histories.MEMORY),
+    (dashpot, SHAKE, {"n_modes": 2}, histories.MEMORY),
+    (dashpot, SHAKE, {"dt": 0.04}, 1),
+    (bouc_wen, SHAKE, {"dt": 0.01}, BLOCKS),
+    (bouc_wen, SHAKE, {"dt": 0.04}, 1),
+    (duffing, SHAKE, {}, histories.MEMORY),
+    (of_several_kinds, SHAKE, {}, BLOCKS),
+    (of_several_kinds, SHAKE, {}, histories.MEMORY),
+]
+
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("record", "dt", "n_modes"),
-    [(SHAKE, None, None), (SHAKE, 0.01, 2), (SHAKE, 0.06, None), (OTHER, 0.02, None)],
-)
-def test_bands_are_those_of_all_histories(idata, record, dt, n_modes):
-    """Every quantity, at the record's, a finer and a coarser step, of this earthquake and another."""
-    names, quantiles = list(UNITS), [0.1, 0.5, 0.95]
-    settings = {"dt": dt, "n_modes": n_modes}
-    found = pmf.posterior_response(idata, three_storeys, record, names, quantiles=quantiles, **settings)
+@pytest.mark.parametrize(("structure", "load", "settings", "memory"), CASES)
+def test_bands_are_those_of_all_histories(idata, structure, load, settings, memory, monkeypatch):
+    """Every quantity, of this earthquake, another and forces, at the record's step and others.
+
+    In memory, in blocks of 7 samples on disk, and of one.
+    """
+    monkeypatch.setattr(histories, "MEMORY", memory)
+    many = structures_of(idata, structure)
+    drifts = all(
+        isinstance(one, pmf.SpringMassChain | pmf.HystereticChain | pmf.DuffingChain) for one in many
+    )
+    names = list(UNITS) if drifts else [name for name in UNITS if name != "inter_storey_drift"]
+    if structure is without_top_mass:
+        names.remove("base_shear")
+    found = pmf.posterior_response(idata, structure, load, names, quantiles=[0.1, 0.5, 0.95], **settings)
     for name in names:
-        slow = np.stack([slow_history(s, record, name, **settings) for s in all_structures(idata)])
-        scale = np.abs(slow).max()
-        for key, expected in {
-            name: np.quantile(slow, quantiles, axis=0),
-            f"{name}_mean": slow.mean(axis=0),
-            f"{name}_peak": np.abs(slow).max(axis=-1),
-        }.items():
-            values = (
-                found[key]
-                if DIM[name] != "row"
-                else found[key].expand_dims("row", axis=1 - key.endswith("mean"))
-            )
-            assert DIM[name] in values.dims
-            np.testing.assert_allclose(values, expected, rtol=0, atol=1e-12 * scale, err_msg=key)
-            assert found[key].attrs["units"] == UNITS[name]
-    np.testing.assert_allclose(found["time"], np.arange(found.sizes["time"]) * (dt or record.dt), atol=1e-12)
-    assert found["time"].attrs["units"] == "s"
-    np.testing.assert_array_equal(found["quantile"], quantiles)
+        assert_bands(found, name, np.stack([slow_history(one, load, name, **settings) for one in many]))
+    dt = settings.get("dt") or load.dt
+    np.testing.assert_allclose(found["time"], np.arange(found.sizes["time"]) * dt, atol=1e-12)
+    assert found["time"].attrs["units"] == "s" and found["quantile"].values.tolist() == [0.1, 0.5, 0.95]
+    dims = {"inter_storey_drift": ("quantile", "storey", "time"), "base_shear": ("quantile", "time")}
+    if structure is two_supports:
+        dims["base_shear"] = "quantile", "support", "time"
+        axes = pmf.plot_response_bands(found, "base_shear")
+        assert axes[1].get_title() == "base shear, support 1"
+        plots.close(axes)
+    assert all(found[name].dims == dims.get(name, ("quantile", "sensor", "time")) for name in names)
 
 
-def test_time_blocks_join(idata, monkeypatch):
-    """Blocks of 7 samples, and of one, give the numbers of blocks of 128."""
-    whole = pmf.posterior_response(idata, three_storeys, SHAKE, ["base_shear", "relative_velocity"])
-    for memory in (8 * 120 * 3 * 7, 1):
-        monkeypatch.setattr(histories, "MEMORY", memory)
-        found = pmf.posterior_response(idata, three_storeys, SHAKE, ["base_shear", "relative_velocity"])
-        xr.testing.assert_allclose(found, whole, rtol=0, atol=1e-11)
+@pytest.mark.parametrize("structure", [chain, frame, dashpot, bouc_wen])
+def test_combinations_and_chosen_sensors(idata, structure):
+    many = structures_of(idata, structure)
+    asked = {"quantity": "relative_velocity", "outputs": DRIFTS[1:]}
+    found = pmf.posterior_response(idata, structure, OTHER, "relative_velocity", outputs=DRIFTS[1:])
+    assert found["sensor"].attrs["long_name"] == "row of outputs"
+    assert_bands(found, "relative_velocity", np.stack([pmf.simulate(s, OTHER, **asked) for s in many]))
+    names = ["relative_velocity", "base_shear"] + ["inter_storey_drift"] * (structure in (chain, bouc_wen))
+    every = pmf.posterior_response(idata, structure, OTHER, names)
+    some = pmf.posterior_response(idata, structure, OTHER, names, sensors=[2, 0])
+    chosen = {"sensor": [2, 0]} | ({"storey": [2, 0]} if "storey" in every.dims else {})
+    xr.testing.assert_allclose(some, every.sel(chosen), rtol=0, atol=1e-12)
 
 
-def test_chosen_sensors_and_storeys(idata):
-    names = ["absolute_acceleration", "inter_storey_drift", "base_shear"]
-    every = pmf.posterior_response(idata, three_storeys, SHAKE, names)
-    some = pmf.posterior_response(idata, three_storeys, SHAKE, names, sensors=[2, 0])
-    np.testing.assert_array_equal(some["storey"], [2, 0])
-    xr.testing.assert_allclose(some, every.sel(sensor=[2, 0], storey=[2, 0]), rtol=0, atol=1e-12)
+def test_forces_where_no_mass_is(idata):
+    """Bands of the others and of the base shear."""
+    push = pmf.Loading(SHAKE.acceleration, SHAKE.dt, kind="force", matrix=[[0.0], [0.0], [1.0]])
+    pmf.posterior_response(idata, without_top_mass, push, "base_shear")
+    pmf.posterior_response(idata, without_top_mass, push, sensors=[0, 1])
+    with pytest.raises(ValueError, match="`sensors` must lie on mass"):
+        pmf.posterior_response(idata, without_top_mass, push)
 
 
 def test_each_peak_knows_its_draw(idata):
-    found = pmf.posterior_response(idata, three_storeys, SHAKE, "base_shear", draws=10, random_seed=3)
+    found = pmf.posterior_response(idata, chain, SHAKE, "base_shear", draws=10, random_seed=3)
     assert found.sizes["sample"] == found.attrs["draws_used"] == 10
     assert sorted(set(found["chain"].values)) == [3, 7]
     draws = idata["posterior"].to_dataset()
     for i in range(10):
         one = draws.sel(chain=found["chain"][i], draw=found["draw"][i])
-        slow = slow_history(three_storeys(one["k"].values, float(one["damping"])), SHAKE, "base_shear")
+        slow = slow_history(chain(one["k"].values, float(one["damping"])), SHAKE, "base_shear")
         assert float(found["base_shear_peak"][i]) == pytest.approx(np.abs(slow).max(), rel=1e-12)
-    again = pmf.posterior_response(idata, three_storeys, SHAKE, "base_shear", draws=10, random_seed=4)
+    again = pmf.posterior_response(idata, chain, SHAKE, "base_shear", draws=10, random_seed=4)
     assert (again["draw"].values != found["draw"].values).any()
 
 
@@ -149,7 +228,7 @@ def test_draws_are_evenly_spaced():
     idata = posterior(k=np.ones((2, 100)))
 
     def taken(draws):
-        found = pmf.posterior_response(idata, three_storeys, OTHER, "base_shear", draws=draws)
+        found = pmf.posterior_response(idata, chain, OTHER, "base_shear", draws=draws)
         return [found["draw"].values[found["chain"].values == c] for c in (0, 1)]
 
     for draws in (8, 9):
@@ -160,31 +239,70 @@ def test_draws_are_evenly_spaced():
     np.testing.assert_array_equal(taken(500), [np.arange(100)] * 2)
 
 
-def test_memory_is_bounded():
-    """A tenth of what the histories of all draws would take, 200 MB."""
-    theta = np.random.default_rng(2).normal(1.0, 0.1, (1, 400))
-    record = pmf.synthetic_earthquake(31.2, 0.005, random_seed=1, pga=3.0)
-    pmf.posterior_response(posterior(theta=theta[:, :4]), pmf.paper.chain, OTHER)  # imports, compilation
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("structure", "size", "memory", "share"),
+    [(pmf.paper.chain, (400,), histories.MEMORY, 0.1), (dashpot, (300, 3), 2**20, 0.4)],
+)
+def test_memory_is_bounded(structure, size, memory, share, monkeypatch):
+    """A part of what the histories of all draws would take, 200 MB of a chain, 11 MB with coupled damping."""
+    monkeypatch.setattr(histories, "MEMORY", memory)
+    draws = np.random.default_rng(2).uniform(0.9, 1.2, (1, *size))
+    name = "theta" if structure is pmf.paper.chain else "k"
+    record = pmf.synthetic_earthquake(31.2, 0.005 if name == "theta" else 0.02, random_seed=1, pga=3.0)
+    pmf.posterior_response(posterior(**{name: draws[:, :4]}), structure, OTHER)  # imports, compilation
     tracemalloc.start()
     try:
-        found = pmf.posterior_response(posterior(theta=theta), pmf.paper.chain, record)
+        found = pmf.posterior_response(posterior(**{name: draws}), structure, record)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    histories_of_all = 8 * 400 * 10 * found.sizes["time"]
-    assert histories_of_all > 190e6
-    assert peak < 0.1 * histories_of_all
+    histories_of_all = 8 * size[0] * found.sizes["sensor"] * found.sizes["time"]
+    assert histories_of_all > 10e6
+    assert peak < share * histories_of_all
 
 
 def test_result_saves(idata, tmp_path):
-    found = pmf.posterior_response(
-        idata, three_storeys, SHAKE, simulators.quantities_of(three_storeys(100.0))
-    )
+    found = pmf.posterior_response(idata, chain, SHAKE, simulators.quantities_of(chain(100.0)))
     found.to_netcdf(tmp_path / "bands.nc", engine="h5netcdf")
     xr.testing.assert_identical(xr.load_dataset(tmp_path / "bands.nc"), found)
-    risk = pmf.first_passage_probability(idata, three_storeys, [SHAKE, OTHER], [0.01, 0.1])
+    risk = pmf.first_passage_probability(idata, chain, [SHAKE, OTHER], [0.01, 0.1])
     risk.to_netcdf(tmp_path / "risk.nc", engine="h5netcdf")
     xr.testing.assert_equal(xr.load_dataset(tmp_path / "risk.nc"), risk)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_files_are_closed(idata, fails, monkeypatch):
+    files = []
+
+    def opened(**settings):
+        files.append(tempfile.SpooledTemporaryFile(**settings))  # noqa: SIM115
+        return files[-1]
+
+    def broken(k):
+        if len(files) > 0 and fails:
+            raise RuntimeError("no structure")
+        return bouc_wen(k)
+
+    monkeypatch.setattr("pymc_features.prediction.simulated.SpooledTemporaryFile", opened)
+    names = ["base_shear", "relative_velocity"]
+    if fails:
+        with pytest.raises(RuntimeError, match="no structure"):
+            pmf.posterior_response(idata, broken, SHAKE, names)
+    else:
+        pmf.posterior_response(idata, broken, SHAKE, names)
+    assert len(files) == 2 and all(file.closed for file in files)
+    pmf.first_passage_probability(idata, bouc_wen, SHAKE, 0.01)
+    assert len(files) == 2, "peaks need no file"
+
+
+def test_a_nonlinear_chain_is_integrated_once(idata, monkeypatch):
+    counted = []
+    inner = simulated.nonlinear_histories
+    monkeypatch.setattr(simulated, "nonlinear_histories", lambda *a: counted.append(a) or inner(*a))
+    names = ["absolute_acceleration", "base_shear", "inter_storey_drift", "relative_displacement"]
+    pmf.posterior_response(idata, bouc_wen, OTHER, names, draws=6)
+    assert len(counted) == 6
 
 
 # --------------------------------------------------------------------------- draws without a response
@@ -193,29 +311,45 @@ def test_result_saves(idata, tmp_path):
 def test_impossible_draws_are_left_out_and_counted():
     """A negative stiffness is refused by the structure; one of 1e300 has no response."""
     k = np.ones((2, 4)) * [[1.0], [1.2]]
-    possible = pmf.posterior_response(posterior(k=k), three_storeys, SHAKE, "base_shear")
+    possible = pmf.posterior_response(posterior(k=k), chain, SHAKE, "base_shear")
     k = np.concatenate([k, [[-1.0], [1e300]]], axis=1)
     k[0, 1] = np.nan
-    with pytest.warns(
-        pmf.exceptions.PredictionWarning, match=r"3 of 10 draws have no response .*out: `stiffness` must"
-    ):
-        found = pmf.posterior_response(posterior(k=k), three_storeys, SHAKE, "base_shear")
+    left_out = pmf.exceptions.PredictionWarning
+    with pytest.warns(left_out, match=r"3 of 10 draws have no response .*out: `stiffness` must"):
+        found = pmf.posterior_response(posterior(k=k), chain, SHAKE, "base_shear")
     assert (found.attrs["draws_left_out"], found.attrs["draws_used"]) == (3, 7)
     np.testing.assert_array_equal(found["chain"], [0, 0, 0, 1, 1, 1, 1])
     np.testing.assert_array_equal(found["draw"], [0, 2, 3, 0, 1, 2, 3])
     expected = np.delete(possible["base_shear_peak"].values, 1)
     np.testing.assert_allclose(found["base_shear_peak"], expected, rtol=1e-12)
     assert found["base_shear"].notnull().all()
-    with pytest.warns(pmf.exceptions.PredictionWarning, match="3 of 10 draws"):
-        risk = pmf.first_passage_probability(posterior(k=k), three_storeys, SHAKE, 1e-9)
+    with pytest.warns(left_out, match="3 of 10 draws"):
+        risk = pmf.first_passage_probability(posterior(k=k), chain, SHAKE, 1e-9)
     assert (risk.attrs["draws_left_out"], float(risk["probability_any"])) == (3, 1.0)
-    with pytest.warns(
-        pmf.exceptions.PredictionWarning, match="1 of 2 draws .* frequencies or damping are not finite"
-    ):
-        pmf.posterior_response(posterior(k=[[1.0, 1e300]]), three_storeys, SHAKE)
+    with pytest.warns(left_out, match="1 of 2 draws .* frequencies or damping are not finite"):
+        pmf.posterior_response(posterior(k=[[1.0, 1e300]]), chain, SHAKE)
     for bad, why in ((-1.0, "none of 2: `stiffness` must be positive"), (1e300, "none of 2. Their freq")):
         with pytest.raises(ValueError, match=f"`structure` must have a response for some draws, got {why}"):
-            pmf.posterior_response(posterior(k=[[bad, bad]]), three_storeys, SHAKE)
+            pmf.posterior_response(posterior(k=[[bad, bad]]), chain, SHAKE)
+
+
+def test_draws_that_fail_to_integrate_are_left_out():
+    """One is refused by the structure, one is too stiff to integrate; the warning points to the call."""
+    k, left_out = np.array([[1.0, -1.0, 1.1, 1e30, 1.2]]), pmf.exceptions.PredictionWarning
+    with pytest.warns(left_out, match="2 of 5 draws .* out: `stiffness` must be pos") as caught:
+        found = pmf.posterior_response(posterior(k=k), bouc_wen, SHAKE, ["base_shear", "relative_velocity"])
+    assert caught[0].filename == __file__
+    np.testing.assert_array_equal(found["draw"], [0, 2, 4])
+    for name in ("base_shear", "relative_velocity"):
+        slow = [pmf.simulate(bouc_wen(v), SHAKE, quantity=name).values for v in (1.0, 1.1, 1.2)]
+        assert_bands(found, name, np.stack(slow))
+    with pytest.warns(left_out, match="1 of 2 draws .*or their integration fails") as caught:
+        pmf.first_passage_probability(posterior(k=[[1e30, 1.0]]), bouc_wen, [SHAKE, OTHER], 0.01)
+    assert caught[0].filename == __file__
+    with pytest.raises(ValueError, match="must have a response for some draws, got none of 1. Their freq"):
+        pmf.posterior_response(posterior(k=[[1e30]]), bouc_wen, SHAKE)
+    rigid = pmf.posterior_response(posterior(k=[[1e30, 1.0]]), frame, SHAKE)  # follows the base
+    assert rigid.attrs["draws_left_out"] == 0
 
 
 # --------------------------------------------------------------------------- first passage
@@ -223,12 +357,12 @@ def test_impossible_draws_are_left_out_and_counted():
 
 def shear_peaks(scale):
     """Mass and stiffness by the same factor: the base shear is proportional to it."""
-    return three_storeys(scale, mass=scale * np.array([3.0, 2.0, 1.0]))
+    return chain(scale, mass=scale * MASS)
 
 
 def test_first_passage_of_a_proportional_peak():
     """P(c m > limit) of a Normal m in closed form; 4.5 standard errors at five limits."""
-    unit = np.abs(slow_history(three_storeys(1.0), SHAKE, "base_shear")).max()
+    unit = np.abs(slow_history(chain(1.0), SHAKE, "base_shear")).max()
     scale = np.random.default_rng(6).normal(1.0, 0.1, (4, 500))
     limits = unit * np.array([0.85, 0.95, 1.0, 1.1, 1.2])
     found = pmf.first_passage_probability(
@@ -246,64 +380,38 @@ def test_first_passage_of_a_proportional_peak():
     assert found["limit"].attrs["units"] == "N"
 
 
-def test_first_passage_of_a_monotone_drift():
-    """Peak drift of a mass on a spring, decreasing in the stiffness between 2 and 3: found by bisection."""
-
-    def one_storey(k):
-        return pmf.SpringMassChain([1.0], 100.0 * k, pmf.ModalDamping(0.05))
-
-    def peak(k):
-        return float(np.abs(pmf.simulate(one_storey(k), PULSE, quantity="relative_displacement")).max())
-
-    PULSE = pmf.Record(np.sin(np.linspace(0.0, 2.0 * np.pi, 201)), dt=0.01)
-    assert (np.diff([peak(k) for k in np.linspace(2.0, 3.0, 50)]) < 0.0).all()
-    limits = [peak(2.2), peak(2.5), peak(2.9)]
-    bounds = [brentq(lambda k, limit=limit: peak(k) - limit, 2.0, 3.0) for limit in limits]
-    k = np.random.default_rng(7).uniform(2.0, 3.0, (2, 1000))
-    found = pmf.first_passage_probability(posterior(k=k), one_storey, PULSE, limits, draws=2000)
-    exact = np.array(bounds) - 2.0  # of a uniform posterior, the share below the bound
-    np.testing.assert_allclose(exact, [0.2, 0.5, 0.9], atol=1e-6)
-    assert (
-        np.abs(found["probability"].isel(storey=0) - exact) < 4.5 * found["probability_se"].isel(storey=0)
-    ).all()
-    every_draw = (k[..., None] < np.array(bounds)).mean(axis=(0, 1))
-    np.testing.assert_array_equal(found["probability"].isel(storey=0), every_draw)
-
-
-def test_fragility_falls_with_the_limit_and_any_is_more_than_each(idata):
-    limits = np.geomspace(0.005, 0.3, 12)
-    found = pmf.first_passage_probability(idata, three_storeys, SHAKE, limits)
-    assert (found["probability"].diff("limit") <= 0.0).all()
-    assert (found["probability_any"].diff("limit") <= 0.0).all()
-    assert (found["probability_any"] >= found["probability"].max("storey")).all()
-    assert (found["probability_any"] <= found["probability"].sum("storey") + 1e-12).all()
-    assert set(np.round(found["probability_any"].values[[0, -1]], 12)) == {0.0, 1.0}
-    assert (found["probability_se"] > 0.0).all(), "no exceedance among 120 draws is not certain"
-    slow = np.stack([slow_history(s, SHAKE, "inter_storey_drift") for s in all_structures(idata)])
-    peaks = np.abs(slow).max(axis=-1)
-    np.testing.assert_allclose(found["peak"].isel(record=0), peaks, rtol=1e-10)
-    np.testing.assert_array_equal(found["probability"], (peaks > limits[:, None, None]).mean(axis=1))
-    np.testing.assert_array_equal(
-        found["probability_any"], (peaks.max(axis=1) > limits[:, None]).mean(axis=1)
-    )
+@pytest.mark.parametrize("structure", [chain, frame, bouc_wen, duffing, dashpot])
+def test_first_passage_counts_peaks(idata, structure):
+    """Of two earthquakes with their own steps; drifts of linear structures are outputs."""
+    quantity, asked = "inter_storey_drift", {}
+    if structure in (frame, dashpot):
+        quantity, asked = "relative_displacement", {"outputs": DRIFTS}
+    limits = np.array([0.005, 0.02, 0.03, 0.3])
+    found = pmf.first_passage_probability(idata, structure, [SHAKE, OTHER], limits, quantity, **asked)
+    many = structures_of(idata, structure)
+    slow = [[abs(slow_history(s, r, quantity, **asked)).max(axis=-1) for s in many] for r in (SHAKE, OTHER)]
+    np.testing.assert_allclose(found["peak"], slow, rtol=1e-10)
+    above = np.array(slow)[:, None] > limits[:, None, None]  # (record, limit, sample, row)
+    np.testing.assert_allclose(found["record_probability"], above.mean(axis=2))
+    np.testing.assert_allclose(found["probability"], above.mean(axis=(0, 2)))
+    np.testing.assert_allclose(found["record_probability_any"], above.any(axis=-1).mean(axis=2))
+    np.testing.assert_allclose(found["probability_any"], above.any(axis=-1).mean(axis=(0, 2)))
+    assert set(found["probability_any"].values[[0, -1]]) == {0.0, 1.0}
+    assert (found["probability_se"] > 0.0).all(), "no exceedance among 30 draws is not certain"
+    assert found["record_name"].values.tolist() == [SHAKE.name, OTHER.name]
+    alone = pmf.first_passage_probability(idata, structure, OTHER, 0.02, quantity, **asked)
+    np.testing.assert_array_equal(found["record_probability"][1, 1], alone["probability"])
+    assert alone.sizes["record"] == 1 and 0.0 < float(alone["probability_any_se"]) < 0.2
 
 
-def test_an_ensemble_of_earthquakes(idata):
-    """The total probability is the mean of those of the records, whatever their steps; a number as limit."""
-    both = pmf.first_passage_probability(idata, three_storeys, [SHAKE, OTHER], 0.04, sensors=[0, 2])
-    for i, record in enumerate((SHAKE, OTHER)):
-        alone = pmf.first_passage_probability(idata, three_storeys, record, 0.04, sensors=[0, 2])
-        np.testing.assert_array_equal(both["record_probability"][i], alone["probability"])
-        np.testing.assert_array_equal(both["record_probability_any"][i], alone["probability_any"])
-        assert alone.sizes["record"] == 1
-    assert both["record_probability"].dims == ("record", "storey")
-    assert both["record_name"].values.tolist() == [SHAKE.name, OTHER.name]
-    np.testing.assert_allclose(both["probability"], both["record_probability"].mean("record"), rtol=1e-12)
-    np.testing.assert_allclose(
-        both["probability_any"], both["record_probability_any"].mean("record"), rtol=1e-12
-    )
-    assert np.ptp(both["record_probability_any"].values) > 0.0
-    assert 0.0 < float(both["probability_any_se"]) < 0.1
+def test_first_passage_under_several_loads(idata):
+    """Motions of the supports and forces of both kinds in one call, each with its own modal loads."""
+    loads = [*LOADS.values(), LOADS["two supports"]]
+    found = pmf.first_passage_probability(idata, two_supports, loads, 1.0, "base_shear", sensors=[0])
+    for i, load in enumerate(loads):
+        slow = [slow_history(s, load, "base_shear") for s in structures_of(idata, two_supports)]
+        np.testing.assert_allclose(found["peak"][i], np.abs(slow).max(axis=-1), rtol=1e-11)
+    assert found["probability"].dims == ("support",)
 
 
 def test_standard_error_counts_autocorrelated_draws():
@@ -386,8 +494,8 @@ def test_bands_cover_the_true_unmeasured_response():
 
 
 def test_figure_of_bands(idata):
-    found = pmf.posterior_response(idata, three_storeys, SHAKE, ["absolute_acceleration", "base_shear"])
-    measured = pmf.simulate(three_storeys(1.0), SHAKE, sensors=[2], dt=0.04)
+    found = pmf.posterior_response(idata, chain, SHAKE, ["absolute_acceleration", "base_shear"])
+    measured = pmf.simulate(chain(1.0), SHAKE, sensors=[2], dt=0.04)
     axes = pmf.plot_response_bands(found, "absolute_acceleration", measured=measured)
     assert len(axes) == 3
     assert [len(ax.lines) for ax in axes] == [1, 1, 2], "measured at sensor 2 only"
@@ -416,11 +524,11 @@ FIGURE_REFUSES = {  # what is said: what is given
     "`quantity` must be one of absolute_acceleration, base_shear, got 'speed'": {"quantity": "speed"},
     r"`sensors` must be among \[0, 1, 2\], got \[5\]. Predict": {"sensors": [5]},
     "`sensors` must be left out for a base_shear, got 0": {"quantity": "base_shear", "sensors": 0},
-    r"`measured` must have shape \(sensor, time\) = \(3, 301\) to match.*\(3, 2\)": {
+    r"`measured` must have shape \(sensor, time\) = \(3, 201\) to match.*\(3, 2\)": {
         "measured": np.zeros((3, 2))
     },
     r"`measured` must have dimensions \(sensor, time\), got \('floor": {
-        "measured": pmf.simulate(three_storeys(1.0), SHAKE).rename(sensor="floor")
+        "measured": pmf.simulate(chain(1.0), SHAKE).rename(sensor="floor")
     },
     "`axes` must be one for each of 3 sensors, got 1": {"axes": [None]},
 }
@@ -428,7 +536,7 @@ FIGURE_REFUSES = {  # what is said: what is given
 
 @refusals("arguments", FIGURE_REFUSES)
 def test_figure_refuses(idata, arguments, match):
-    found = pmf.posterior_response(idata, three_storeys, SHAKE, ["absolute_acceleration", "base_shear"])
+    found = pmf.posterior_response(idata, chain, SHAKE, ["absolute_acceleration", "base_shear"])
     with pytest.raises(ValueError, match=match):
         plots.plot_response_bands(**({"result": found, "quantity": "absolute_acceleration"} | arguments))
 
@@ -436,96 +544,114 @@ def test_figure_refuses(idata, arguments, match):
 # --------------------------------------------------------------------------- the border
 
 
-@pytest.mark.parametrize("form", ["tree", "group", "dataset"])
-def test_forms_of_a_posterior(idata, form):
-    given = {"tree": idata, "group": idata["posterior"], "dataset": idata["posterior"].to_dataset()}[form]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        found = pmf.posterior_response(given, three_storeys, OTHER, "base_shear", draws=4)
-    assert found.sizes["sample"] == 4
+def test_forms_of_a_posterior(idata):
+    for given in (idata, idata["posterior"], idata["posterior"].to_dataset()):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = pmf.posterior_response(given, chain, OTHER, "base_shear", draws=4)
+        assert found.sizes["sample"] == 4
 
 
 def test_parameters_the_posterior_lacks_keep_their_default():
-    found = pmf.posterior_response(
-        posterior(k=[[1.0]]), lambda k, damping=0.2: three_storeys(k, damping), OTHER
-    )
-    exact = pmf.simulate(three_storeys(1.0, 0.2), OTHER)
+    found = pmf.posterior_response(posterior(k=[[1.0]]), lambda k, damping=0.2: chain(k, damping), OTHER)
+    exact = pmf.simulate(chain(1.0, 0.2), OTHER)
     assert peak_error(found["absolute_acceleration_mean"], exact) < 1e-13
 
 
-GROWING = {"k": lambda k: pmf.SpringMassChain(np.ones(1 + int(k > 1)), 1.0, pmf.ModalDamping(0.1))}
+def growing(k):
+    return pmf.SpringMassChain(np.ones(1 + int(k > 1)), 1.0, pmf.ModalDamping(0.1))
+
+
+def of_supports(k):
+    return frame(k, SHARE if k > 0.7 else SHARE @ np.ones((2, 1)))
+
 
 REFUSED_VALUES = {  # what is said: what is given
     "`idata` must be a DataTree with a group `posterior`.* got dict. Pass": {"idata": {"k": 1.0}},
     "`idata` must be .*got Dataset": {"idata": xr.Dataset({"k": 1.0})},
     r"`structure` must have parameters .*\(k\), got theta. Rename": {"structure": lambda theta: 1},
     r"`structure` must have parameters .*\(k\), got none": {"structure": lambda: 1},
-    r"the same degrees of freedom for every draw, got \[1, 2\]": {"structure": GROWING["k"]},
+    r"the same degrees of freedom for every draw, got \[1, 2\]": {"structure": growing},
+    r"the same supports for every draw, got \[1, 2\]. Predict": {"structure": of_supports},
+    "`record` must give 1 support accelerations, .* got 2": {
+        "record": LOADS["two supports"],
+        "structure": frame,
+    },
     "`draws` must be an integer of at least 1, got 0": {"draws": 0},
-    "`draws` must be an integer of at least 1, got 1.5": {"draws": 1.5},
     "`dt` must be an integer multiple": {"dt": 0.013},
     "`sensors` must lie between 0 and 2": {"sensors": [3]},
     "`n_modes` must be an integer from 1 to 3, got 4": {"n_modes": 4},
+    "`n_modes` must be left out for a nonlinear": {"n_modes": 2, "structure": bouc_wen},
+    r"`outputs` must have shape \(s, 3\), got \(2, 2\)": {"outputs": np.eye(2)},
+    "`sensors` must be left out with `outputs`, got both": {"outputs": np.eye(3), "sensors": [1]},
 }
 REFUSED_TYPES = {
-    "`structure` must be a function .* got SpringMassChain": {"structure": three_storeys(1.0)},
+    "`structure` must be a function .* got SpringMassChain": {"structure": chain(1.0)},
     "`structure` must return a structure, got float": {"structure": lambda k: 1.0},
-    "return a structure of numbers, got PyTensor": {"structure": lambda k: three_storeys(pt.exp(k))},
+    "return a structure of numbers, got PyTensor": {"structure": lambda k: chain(pt.exp(k))},
     "`record` must be a Record, got ndarray": {"record": SHAKE.acceleration},
+    "a Record for a SpringMassChain, got L": {"record": LOADS["forces"]},
+    "a Record for a DuffingChain, got L": {"record": LOADS["forces"], "structure": duffing},
+    "its own or dt, sensors, n_modes, outputs, got 'modes'. Did you mean": {"modes": 2},
 }
 
 
 @refusals("arguments", REFUSED_VALUES, REFUSED_TYPES)
 @pytest.mark.parametrize("function", [pmf.posterior_response, pmf.first_passage_probability])
 def test_refusals(function, arguments, error, match):
-    defaults = {"idata": posterior(k=[[0.5, 1.5]]), "structure": three_storeys, "record": SHAKE}
+    given = {"idata": posterior(k=[[0.5, 1.5]]), "structure": chain, "record": SHAKE} | arguments
     if function is pmf.first_passage_probability:
-        defaults["limit"] = 0.1
+        given |= {"limit": 0.1, "quantity": "absolute_acceleration"}
     with pytest.raises(error, match=match):
-        function(**(defaults | arguments))
+        function(**given)
 
 
+BANDS, RISK = pmf.posterior_response, pmf.first_passage_probability
 REFUSALS_OF_ONE = {  # what is said: what is given
-    r"`quantities` must be of .*base_shear, got \['stress'\]": (
-        pmf.posterior_response,
-        {"quantities": ["stress"]},
+    r"`quantities` must be of .*base_shear, got \['stress'\]": (BANDS, {"quantities": ["stress"]}),
+    r"`quantities` must be of .*, got \[\]": (BANDS, {"quantities": []}),
+    r"`quantiles` must lie between 0 and 1, got \[5, 95\]. Pass": (BANDS, {"quantiles": [5, 95]}),
+    "`outputs` must be left out for 'base_shear'": (
+        BANDS,
+        {"quantities": ["relative_velocity", "base_shear"], "outputs": np.eye(3)},
     ),
-    r"`quantities` must be of .*, got \[\]": (pmf.posterior_response, {"quantities": []}),
-    r"`quantiles` must lie between 0 and 1, got \[5, 95\]. Pass": (
-        pmf.posterior_response,
-        {"quantiles": [5, 95]},
-    ),
-    "`quantity` must be one of .*, got 'drift'": (
-        pmf.first_passage_probability,
-        {"limit": 0.1, "quantity": "drift"},
-    ),
-    r"`limit` must be a positive number or .*got \[0.1, -1.0": (
-        pmf.first_passage_probability,
-        {"limit": [0.1, -1.0]},
-    ),
-    "`record` must be one Record or several, got none": (
-        pmf.first_passage_probability,
-        {"limit": 0.1, "record": []},
-    ),
-    r"`quantity` must be one of .*, got \['base": (
-        pmf.first_passage_probability,
-        {"limit": 0.1, "quantity": ["base_shear"]},
-    ),
+    "`quantity` must be one of .*, got 'drift'": (RISK, {"limit": 0.1, "quantity": "drift"}),
+    r"`quantity` must be one of .*, got \['base": (RISK, {"limit": 0.1, "quantity": ["base_shear"]}),
+    r"`limit` must be a positive number or .*got \[0.1, -1.0": (RISK, {"limit": [0.1, -1.0]}),
+    "`record` must be one Record or several, got none": (RISK, {"limit": 0.1, "record": []}),
+    "for a LinearStructure, got 'inter_storey_drift'.*outputs=S": (RISK, {"limit": 0.1, "structure": frame}),
 }
 
 
 @refusals("function arguments", REFUSALS_OF_ONE)
 def test_refusals_of_one(function, arguments, match):
-    defaults = {"idata": posterior(k=[[0.5, 1.5]]), "structure": three_storeys, "record": SHAKE}
+    defaults = {"idata": posterior(k=[[0.5, 1.5]]), "structure": chain, "record": SHAKE}
     with pytest.raises(ValueError, match=match):
         function(**(defaults | arguments))
 
 
-@pytest.mark.parametrize(
-    "predict", [pmf.posterior_response, lambda *a, **k: pmf.first_passage_probability(*a, 1.0, **k)]
-)
-def test_options_of_the_response_are_known_by_name(predict):
-    with pytest.raises(
-        TypeError, match=r"its own or dt, sensors, n_modes, outputs, got 'modes'. Did you mean"
-    ):
-        predict(posterior(k=[[1.0]]), three_storeys, SHAKE, modes=2)
+def test_every_family_of_draws_is_asked():
+    """What fits the first structure need not fit the second."""
+
+    def structure(k):
+        return (chain if k < 0.7 else bouc_wen if k < 1.5 else frame)(k)
+
+    with pytest.raises(ValueError, match="for a LinearStructure, got 'inter_storey_drift'"):
+        pmf.posterior_response(posterior(k=[[0.5, 2.0]]), structure, SHAKE, "inter_storey_drift")
+    with pytest.raises(ValueError, match="`n_modes` must be left out for a nonlinear"):
+        pmf.posterior_response(posterior(k=[[0.5, 1.0]]), structure, SHAKE, n_modes=2)
+    with pytest.raises(TypeError, match="`record` must be a Record for a HystereticChain"):
+        pmf.posterior_response(posterior(k=[[2.0, 1.0]]), structure, LOADS["forces"])
+
+
+def test_coupled_draws_are_told_from_classical_ones(idata):
+    """A damping matrix that the modes diagonalise is marched, not simulated."""
+    kinds = {structure: ensemble.kind_of(structure(1.0), 3) for structure in (frame, two_supports, dashpot)}
+    assert kinds == {
+        frame: ensemble.Oscillators,
+        two_supports: ensemble.Oscillators,
+        dashpot: ensemble.Simulated,
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pmf.posterior_response(idata, two_supports, LOADS["two supports"], "base_shear", draws=2)
