@@ -29,62 +29,37 @@ MODAL = {"type": "ModalDamping", "ratios": ["zeta", 0.02, 0.01]}
 MATRIX = [[800.0, -400.0, 0.0], [-400.0, 800.0, -400.0], [0.0, -400.0, 400.0]]
 CHAIN = {"mass": 0.15, "stiffness": ["k1", "k2", "k3"], "damping": MODAL}
 TERMS = {"stiffness_terms": [MATRIX, {}], "theta": ["k1", {"prior": "k2", "times": 2.0}]}
+LINEAR = {"mass": [0.1] * 3, "stiffness": MATRIX, "damping": RAYLEIGH}
 BOUC_WEN = {"yield_displacement": 0.01, "post_yield_ratio": 0.1}
+TAPER = {"base": "k1", "top": "k2", "exponent": 1.5, "times": [1.0, 1.1, 1.2]}
+GROUPS = {"n": 3, "mass": {"groups": [[0.16, 2], [0.14, 1]]}, "stiffness": TAPER, "damping": MODAL}
 OF_MODES = {
-    "file": "modes.csv",
-    "channels": {"floor1": 0, "roof": 2},
-    "modes": [1, 2],
-    "sigma_f": "sigma",
-    "sigma_phi": 0.05,
-    "density": "TN",
-    "nodes": "nodes.csv",
+    **{"file": "modes.csv", "channels": {"floor1": 0, "roof": 2}, "modes": [1, 2], "nodes": "nodes.csv"},
+    **{"sigma_f": "sigma", "sigma_phi": 0.05, "density": "TN", "scale": {"roof": -1.0}},
 }
+SETUPS = {
+    **{"files": ["modes.csv", "setup.csv"], "references": ["roof"], "names": {"frequency": "frequency"}},
+    **{"channels": {"floor1": 0, "floor2": 1, "roof": 2}, "sigma_f": 0.01, "sigma_phi": 0.1},
+}
+BARE = {"quantities": None, "natural_frequencies": None}
 # what identified modes alone do without
-ALONE = {
-    "data": None,
-    "likelihood": None,
-    "processing": None,
-    "report": {"quantities": None, "natural_frequencies": None},
-}
-UNKNOWN_FORCES = {
-    "data": {"base": None, "excitation": "ambient"},
-    "likelihood": None,
-    "report": {"quantities": None, "natural_frequencies": None},
-}
+ALONE = {"data": None, "likelihood": None, "processing": None, "report": BARE}
+WIND = {"data": {"base": None, "excitation": "ambient"}, "likelihood": None, "report": BARE}
 VARIANTS = [  # sections, and what is different there
-    {},
     {"likelihood": {"kinds": ["TN"]}, "sampler": {"method": "smc", "kernel": "TMCMC", "cores": 2}},
     {
-        "sampler": {"method": "nuts", "tune": 500},
+        "structure": {**CHAIN, **BOUC_WEN, "type": "HystereticChain"},
         "processing": {"band_pass": {"low": 0.5, "high": 25.0, "order": 4}},
+    },
+    {"structure": {**LINEAR, "type": "LinearStructure"}, "sampler": {"method": "nuts", "tune": 500}},
+    {
+        "structure": {**LINEAR, "type": "AffineStructure", **TERMS},
+        "likelihood": {"kinds": ["CN-TAU"], "sigma": ["sigma", 0.1, 0.3], "correlation_time": "sigma"},
     },
     {
         "structure": {**CHAIN, "type": "SpringMassChain", "n_modes": 2},
-        "data": {"skip": 0, "clock": 0, "wrapped": False},
-    },
-    {"structure": {**CHAIN, **BOUC_WEN, "type": "HystereticChain"}},
-    {"structure": {**CHAIN, "type": "DuffingChain", "cubic": {"prior": "k1", "times": 100.0}}},
-    {"structure": {"type": "LinearStructure", "mass": [0.1] * 3, "stiffness": MATRIX, "damping": RAYLEIGH}},
-    {
-        "structure": {
-            "type": "AffineStructure",
-            "mass": [0.1] * 3,
-            "stiffness": MATRIX,
-            **TERMS,
-            "damping": RAYLEIGH,
-        }
-    },
-    {"likelihood": {"kinds": ["CN-SIGMA"], "sigma": "sigma", "correlation_time": [0.02, 0.02, 0.03]}},
-    {"likelihood": {"kinds": ["CN-TAU"], "sigma": ["sigma", 0.1, 0.3], "correlation_time": "sigma"}},
-    {"likelihood": {"kinds": ["GAMMA", "ABC"], "sigma": "sigma", "m": 3.0, "epsilon": 5.0}},
-    {
-        "data": {
-            "sensors": ["floor2"],
-            "dofs": [1],
-            "columns": {"base": 1, "floor2": 3},
-            "units": "m/s^2",
-            "dt": 0.01,
-        }
+        "data": {"sensors": ["floor2"], "dofs": [1], "columns": {"base": 1, "floor2": 3}, "dt": 0.01},
+        "likelihood": {"kinds": ["GAMMA", "ABC"], "sigma": "sigma", "m": 3.0, "epsilon": 5.0},
     },
     {
         "data": {"scale": {"base": 1.0, "floor2": -1.0}, "delay": {"floor1": 0.0125}, "rows": [10, 390]},
@@ -92,63 +67,24 @@ VARIANTS = [  # sections, and what is different there
         "likelihood": {"kinds": ["CAL", "NORM", "EXP"]},
     },
     {
-        "structure": {
-            "type": "SpringMassChain",
-            "n": 3,
-            "mass": {"groups": [[0.16, 2], [0.14, 1]]},
-            "stiffness": {"base": "k1", "top": "k2", "exponent": 1.5, "times": [1.0, 1.1, 1.2]},
-            "damping": MODAL,
-        }
+        "structure": {"type": "SpringMassChain", **GROUPS},
+        "record": {"path": "motion.csv", "units": "g", "dt": 0.01, "column": 0},
+        "data": {"base": None},
     },
-    {"record": {"path": "motion.csv", "units": "g", "dt": 0.01, "column": 0}, "data": {"base": None}},
     {
         "data": {"files": "gaps.csv", "gaps": "leave_out", "delay": {"floor3": 0.0025}},
-        "processing": {"band_pass": {"low": 2.0}},
         "likelihood": {"kinds": ["NORM", "EXP", "ABC"], "epsilon": 5.0},
     },
-    {
-        "processing": {
-            "trim": [0.0, 3.0],
-            "decimate": 2,
-            "check_band": [2.0, 9.0],
-            "detrend": {"window": [0.0, 0.5]},
-        }
-    },
-    {
-        "likelihood": {"kinds": ["CAL", "EXP"]},
-        "modal": {**OF_MODES, "scale": {"roof": -1.0}, "labels": ["first", "second"]},
-    },
-    {**ALONE, "modal": {**OF_MODES, "n_modes": 3, "density": 3.0, "sigma_phi": ["sigma", 0.1]}},
-    {
-        **ALONE,
-        "structure": {"type": "SpringMassChain", "mass": 0.15, "stiffness": ["k1", "k2", 500.0]},
-        "modal": {
-            "files": ["modes.csv", "setup.csv"],
-            "references": ["roof"],
-            "channels": {"floor1": 0, "floor2": 1, "roof": 2},
-            "names": {"frequency": "frequency"},
-            "sigma_f": 0.01,
-            "sigma_phi": 0.1,
-        },
-    },
-    {**ALONE, "modal": {"file": "modes.csv", "shapes": False, "sigma_f": ["sigma", 0.01]}},
+    {"processing": {"trim": [0.0, 3.0], "decimate": 2, "detrend": {"window": [0.0, 0.5]}}},
+    {"likelihood": {"kinds": ["CAL", "EXP"]}, "modal": {**OF_MODES, "labels": ["first", "second"]}},
+    {**ALONE, "modal": SETUPS},
     {
         "events": {"folder": ".", "pattern": "measured*.csv", "drift": {"k1": 5.0}, "change": 0.01},
         "data": {"files": None},
         "likelihood": {"kinds": ["NORM", "EXP"]},
     },
     {
-        "events": {"files": ["measured.csv", "measured-2.csv"], "forgetting": 0.9},
-        "data": {"files": None},
-        "likelihood": {"kinds": ["EXP"]},
-    },
-    {
-        **UNKNOWN_FORCES,
-        "processing": {"band_pass": None, "trim": None, "decimate": 1, "check_band": None},
-        "ambient": {"bands": [[2.0, 20.0]], "force": "sigma", "error": 1e-3, "forces": "modes"},
-    },
-    {
-        **UNKNOWN_FORCES,
+        **WIND,
         "processing": {"band_pass": None, "trim": [0.5, 3.5], "check_band": None},
         "ambient": {"bands": [[2.0, 6.0], [7.0, 20.0]], "force": ["sigma", 2.0], "error": [1e-3, 0.1]},
     },
@@ -169,9 +105,8 @@ def originals(folder):
     lines = (folder / "original-measured.csv").read_text().splitlines()[: ROWS + 1]
     (folder / "measured.csv").write_text("\n".join(lines) + "\n")
     shutil.copy(folder / "measured.csv", folder / "measured-2.csv")
-    (folder / "gaps.csv").write_text(
-        "\n".join([*lines[:90], *map(without_last, lines[90:110]), *lines[110:]])
-    )
+    gaps = [line.rpartition(",")[0] + "," if 90 <= k < 110 else line for k, line in enumerate(lines)]
+    (folder / "gaps.csv").write_text("\n".join(gaps))
     (folder / "motion.csv").write_text("\n".join(["acceleration", *["0.1", "-0.1"] * (ROWS // 2)]) + "\n")
     for name, text in (("modes", MODES), ("setup", SETUP), ("nodes", NODES)):
         (folder / f"{name}.csv").write_text(text)
@@ -189,11 +124,6 @@ def originals(folder):
         if table["structure"].get("type") in ("LinearStructure", "AffineStructure"):
             table["report"]["quantities"] = []
         yield without_idle_priors(table)
-
-
-def without_last(line):
-    """A row whose last sensor is missing."""
-    return line.rpartition(",")[0] + ","
 
 
 def without_idle_priors(table):
@@ -224,25 +154,19 @@ def outcome(path) -> str:
 
     A slow one is read once more: pauses in which garbage of other tests is collected are none of the file.
     """
-    said, seconds = judged(path)
-    if seconds > SECONDS:
-        said, seconds = judged(path)
-    assert seconds < SECONDS
-    return said
-
-
-def judged(path) -> tuple[str, float]:
-    """What is said about a file, and the seconds that this takes."""
-    start, said = time.thread_time(), ""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            stands(path)
-        except ConfigError as error:
-            said = str(error)
-            assert re.search(r"`[^`]+`|\[[a-z_.]+\]|mutated.toml", said), f"what is wrong? {said}"
-            assert len(said) < 1500, said[:1500]
-    return said, time.thread_time() - start
+    for _ in range(2):
+        start, said = time.thread_time(), ""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                stands(path)
+            except ConfigError as error:
+                said = str(error)
+                assert re.search(r"`[^`]+`|\[[a-z_.]+\]|mutated.toml", said), f"what is wrong? {said}"
+                assert len(said) < 1500, said[:1500]
+        if (seconds := time.thread_time() - start) < SECONDS:
+            return said
+    raise AssertionError(f"{seconds} s")
 
 
 def mutate(folder, seed, count):
