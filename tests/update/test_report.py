@@ -1,7 +1,8 @@
-"""The page of a report is made from the saved result alone: its numbers, its size, and what it refuses."""
+"""The page of a report is made from the saved result alone; numbers as people read them."""
 
 import csv
 import json
+import math
 import sys
 
 import numpy as np
@@ -18,6 +19,16 @@ from pymc_features.update.report.payload import (
     packed,
     payload_of,
     rank_differences,
+)
+from pymc_features.update.templates.numbers import (
+    COLUMNS,
+    Row,
+    as_csv,
+    as_latex,
+    cells,
+    fixed,
+    interval_texts,
+    scale_of,
 )
 from support.commands import run
 from support.report_pages import payload, unpacked, words
@@ -70,14 +81,12 @@ def test_its_numbers_are_those_of_the_table(html):
     table = list(csv.reader(payload(html, "files")["table.csv"].splitlines()))[1:]
     text = words(html)
     part = text[text.index("<table>") : text.index("</table>")]
-    rows = [row.split("<td>")[1:] for row in part.split("<tr>")[2:]]
-    rows = [[cell.partition("</td>")[0] for cell in row] for row in rows]
+    rows = [[cell.partition("</td>")[0] for cell in row.split("<td>")[1:]] for row in part.split("<tr")[2:]]
     assert [row[:2] for row in rows] == [row[:2] for row in table]
     for shown, number in zip(rows, table, strict=True):
         assert shown[2] == "MN/m"
-        half = [0.5 * 10.0 ** -len(cell.partition(".")[2]) for cell in shown[3:8]]
-        difference = np.array(shown[3:8], float) - 1e-6 * np.array(number[3:8], float)
-        assert (np.abs(difference) <= 1.001 * np.array(half)).all()
+        half = np.array([0.5 * 10.0 ** -len(cell.partition(".")[2]) for cell in shown[3:8]])
+        assert (abs(np.array(shown[3:8], float) - 1e-6 * np.array(number[3:8], float)) <= 1.001 * half).all()
 
 
 def test_series_of_the_page_are_those_of_the_result(html, saved):
@@ -111,8 +120,7 @@ def test_what_is_no_result_is_refused(tmp_path, capsys):
 def test_a_long_document_is_saved_whole(tmp_path):
     """An attribute of HDF5 holds 64 KiB, unless it is a text of variable length."""
     result = large_result(("NORM",), sensors=1, samples=300)
-    document = json.loads(result.attrs["document"]) | {"configuration": "x" * 300_000}
-    result.attrs["document"] = json.dumps(document)
+    result.attrs["document"] = result.attrs["document"].replace("All of it", "x" * 300_000)
     result.to_netcdf(tmp_path / "long.nc", engine="h5netcdf")
     assert "x" * 300_000 in write_page(tmp_path / "long.nc").read_text()
 
@@ -196,3 +204,92 @@ def test_the_budget_is_shared_by_all_likelihoods():
         sizes.append(sum(len(json.dumps(data["of"][kind]["responses"])) for kind in kinds))
         assert len(json.dumps(data)) < 1.2 * MEGABYTE
     assert max(sizes) < 1.2 * payload_module.BUDGET
+
+
+# ---- numbers ----
+
+NONE = math.nan
+STIFFNESS = Row("CAL", "k_1", "N/m", 2.187e7, 2.1994e7, 2.21e7, 2.2e7, 1.5e5, 0.98, 1.0002, 1931.2, 0.1)
+FREQUENCY = Row("CAL", "f1", "Hz", 1.30214, 1.30220, 1.30231, 1.3022, 9e-5, NONE, NONE, NONE, NONE)
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "unit", "text"),
+    [
+        (2.1994e7, 1.5e5, "N/m", "21.99 MN/m"),
+        (3.4e-4, 2e-5, "-", "340 10⁻⁶"),
+        (1.05e6, 2e4, "N^2/Hz", "1.050 10⁶ N²/Hz"),
+        (8e-3, 8.4e-5, "m", "8.000 mm"),
+        (1.6e5, 2e3, "kg", "160.0 t"),
+        (0.14, 0.01, "kg", "140 g"),
+        (0.0855, 1.1e-3, "m/s^2", "0.0855 m/s²"),
+        (0.02, 1e-3, "s", "20.0 ms"),
+        (-5e3, 1e2, "N", "-5.00 kN"),
+        (0.0, 1e-3, "m/s^2", "0.0000 m/s²"),
+        (1.3, 0.0, "Hz", "1.300 Hz"),
+    ],
+)
+def test_a_value_with_its_unit(value, sd, unit, text):
+    scale = scale_of(value, unit)
+    [number] = fixed([value], sd, scale)
+    assert f"{number} {scale.unit}" == text
+
+
+def test_rows_have_two_digits_of_the_standard_deviation():
+    """And one prefix under all likelihoods, whatever the sign of the mean."""
+    stiffness, frequency = cells([STIFFNESS, FREQUENCY])
+    assert stiffness[1:] == (
+        "k_1",
+        "MN/m",
+        "21.87",
+        "21.99",
+        "22.10",
+        "22.00",
+        "0.15",
+        "0.98",
+        "1.000",
+        "1931",
+    )
+    assert frequency[1:8] == ("f1", "Hz", "1.302140", "1.302200", "1.302310", "1.302200", "0.000090")
+    assert frequency[8:] == ("", "", "")
+    other = STIFFNESS._replace(kind="TN", q05=4e5, q50=9e5, q95=9.9e5)
+    assert [row[2] for row in cells([STIFFNESS, other])] == ["MN/m", "MN/m"]
+    assert scale_of(-2e7, "N/m") == scale_of(2e7, "N/m")
+    assert interval_texts((-2e-3, 0.0, 2e-3), "m") == ("mm", ["-2.0", "0.0", "2.0"])
+
+
+def test_quantiles_that_differ_are_shown_to_differ():
+    """Heavy tails: the standard deviation alone would round two of them to zero."""
+    heavy = Row("TN", "q", "-", 1e-3, 2e-3, 40.0, 10.0, 90.0, 0.0, 1.0, 500.0, 0.9)
+    assert cells([heavy])[0][3:6] == ("0.001", "0.002", "40.000")
+    equal = Row("TN", "q", "-", 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 500.0, 0.0)
+    assert cells([equal])[0][3:6] == ("1.000", "1.000", "1.000")
+
+
+def test_rounded_numbers_are_those_of_the_file():
+    """Random rows: each text is the number of `table.csv` to half of its last digit."""
+    rng = np.random.default_rng(3)
+    table = []
+    for unit in ("N/m", "Hz", "-", "m/s^2", "kg", "m", "s", "m^2/s^3"):
+        for _ in range(40):
+            middle = 10.0 ** rng.uniform(-8, 10)
+            draws = middle * np.exp(10.0 ** rng.uniform(-6, 0.5) * rng.standard_normal(100))
+            quantiles = np.quantile(draws, [0.05, 0.5, 0.95])
+            name = f"p{len(table)}"
+            table.append(Row("EXP", name, unit, *quantiles, draws.mean(), draws.std(), 0.5, 1.0, 99.0, 0.5))
+    told = list(csv.reader(as_csv(table).splitlines()))
+    assert tuple(told[0]) == COLUMNS
+    for row, shown, saved in zip(table, cells(table), told[1:], strict=True):
+        factor = scale_of(max(map(abs, row[3:6])), row.unit).factor
+        for text, number in zip(shown[3:8], map(float, saved[3:8]), strict=True):
+            half = 0.5 * 10.0 ** -len(text.partition(".")[2])
+            assert abs(float(text) - number / factor) <= 1.001 * half + 1e-9 * abs(number / factor), row
+        assert len(set(shown[3:6])) == 3
+
+
+def test_latex_needs_no_package():
+    text = as_latex([STIFFNESS, FREQUENCY._replace(unit="m^2/s^3", q05=1e-6, q50=2e-6, q95=3e-6, sd=1e-6)])
+    assert text.startswith("\\begin{tabular}{lllrrrrrrrr}") and text.rstrip().endswith("\\end{tabular}")
+    assert "CAL & k\\_1 & MN/m & 21.87 & 21.99 & 22.10 & 22.00 & 0.15 & 0.98 & 1.000 & 1931 \\\\" in text
+    assert "10$^{-6}$ m$^{2}$/s$^{3}$" in text and "5 \\%" in text
+    assert {line.count("&") for line in text.splitlines() if "&" in line} == {len(COLUMNS) - 1}
