@@ -102,111 +102,37 @@ def with_damping(text):
 
 PHI = "sigma_phi = 0.03"
 CHANNELS = 'channels = { "floor 1" = 0, "floor 2" = 1, roof = 2 }'
+WITH_ABC = DATA.replace('"EXP"', '"EXP", "ABC"').partition("\n\n")[2].replace('"sigma"', "0.1")
 BROKEN = {  # what is said: what is changed, into what
-    "`data` must be given: a table with the files of measured responses. Or give identified modes in": (
-        MODAL,
-        "",
-    ),
+    "`data` must be given: a table with the files of measured responses. Or give identified": (MODAL, ""),
     "`modal` must have one of the keys `file` and `files`, got both or neither": ('file = "modes.csv"', ""),
-    "`modal` must have `references` only with `files`, got them with `file`": (
-        PHI,
-        f'{PHI}\nreferences = ["roof"]',
-    ),
-    "`modal.files` must be a list of files, two or more, one for each set-up": (
-        'file = "modes.csv"',
-        'files = ["modes.csv"]',
-    ),
+    "`modal` must have `references` only with `files`, got them with": (PHI, f'{PHI}\nreferences = ["roof"]'),
+    "`modal.files` must be a list of files, two or more,": ('file = "modes.csv"', 'files = ["modes.csv"]'),
     "[modal]: `file` must be an existing file, got": ('"modes.csv"', '"nothing.csv"'),
-    "`modal.sigma_f` must be given: the name of a prior or a number, one or one for each mode, the error": (
-        "sigma_f = 0.005",
-        "",
-    ),
+    "`modal.sigma_f` must be given: the name of a prior or a number, one or one for": ("sigma_f = 0.005", ""),
     "`modal.sigma_phi` must be given with the shapes of modes.csv, got none. Pass the scale": (PHI, ""),
     "`modal.sigma_phi` must be positive, got 0. 0.01 is an error of one per cent.": (PHI, "sigma_phi = 0.0"),
     "`modal.sigma_f` must be at least zero, got -0.1": ("sigma_f = 0.005", "sigma_f = -0.1"),
-    "`modal.sigma_f` must be one value or one for each of the 3 modes, got 2.": (
-        "sigma_f = 0.005",
-        "sigma_f = [0.1, 0.2]",
-    ),
-    "`modal.sigma_f` must name priors of the file, got 'error'": ("sigma_f = 0.005", 'sigma_f = "error"'),
-    "`modal.sigma_f` must be positive, got the prior `priors.e` with the median -1": (
-        "sigma_f = 0.005",
-        'sigma_f = "e"',
-    ),
     "`modal.channels` must be given with shapes: a table of channel names to degrees of freedom. modes.csv "
     "has floor 1, floor 2, roof. Or set shapes = false.": (CHANNELS, ""),
-    "[modal]: `channels` must be among those of these modes (floor 1, floor 2, roof), got 'attic'": (
-        "roof = 2",
-        "attic = 2",
-    ),
-    "`modal.channels` must have different degrees of freedom from 0 to 2, got [0, 1, 3]. 0 is next": (
-        "roof = 2",
-        "roof = 3",
-    ),
-    "`modal.channels` must be two or more, for a shape of one entry says nothing, got one.": (
-        CHANNELS,
-        "channels = { roof = 2 }",
-    ),
-    "`modal.modes` must be different numbers from 1 to 3, the modes of modes.csv, got [0, 1]. 1 is": (
-        PHI,
-        f"{PHI}\nmodes = [0, 1]",
-    ),
+    "[modal]: `channels` must be among those of these modes (floor 1, floor 2,": ("roof = 2", "attic = 2"),
+    "`modal.channels` must have different degrees of freedom from 0 to 2, got [0,": ("roof = 2", "roof = 3"),
+    "`modal.channels` must be two or more, for a shape of one entry": (CHANNELS, "channels = { roof = 2 }"),
+    "`modal.modes` must be different numbers from 1 to 3, the modes of": (PHI, f"{PHI}\nmodes = [0, 1]"),
     "`modal.labels` must have a name for each of the 3 modes, got 2.": (PHI, f'{PHI}\nlabels = ["a", "b"]'),
-    "`modal.n_modes` must be from the 3 modes identified to the 3 of the structure, got 2": (
-        PHI,
-        f"{PHI}\nn_modes = 2",
-    ),
-    "`modal.scale` must have factors that are not zero for channels that are compared (floor 1,": (
-        PHI,
-        f"{PHI}\nscale = {{ attic = -1.0 }}",
-    ),
-    "`modal.channels` must be a table of channel names to degrees of freedom, 0 next to the base, got 'top' "
-    "for roof.": ("roof = 2", 'roof = "top"'),
-    "`modal.references` must": (PHI, f"{PHI}\nreferences = []"),
-    "`modal` must have positive degrees of freedom as `density`, got -1": (PHI, f"{PHI}\ndensity = -1.0"),
-    '`modal.density` must be "EXP", "TN" or degrees of freedom, positive, got \'GAMMA\'.': (
-        PHI,
-        f'{PHI}\ndensity = "GAMMA"',
-    ),
-    "`modal` must have `sigma_phi` only with shapes, got it with shapes = false": (
-        CHANNELS,
-        "shapes = false",
-    ),
-    "`modal.channels` must be left out without shapes, got it. bare.csv has frequencies alone.": (
-        '"modes.csv"',
-        '"bare.csv"',
-    ),
+    "`modal.n_modes` must be from the 3 modes identified to the 3 of the": (PHI, f"{PHI}\nn_modes = 2"),
+    "`modal.scale` must have factors that are not zero for": (PHI, f"{PHI}\nscale = {{ attic = -1.0 }}"),
+    "`modal.channels` must be a table of channel names to degrees of freedom,": ("roof = 2", 'roof = "top"'),
+    '`modal.density` must be "EXP", "TN" or degrees of freedom,': (PHI, f'{PHI}\ndensity = "GAMMA"'),
+    "`modal` must have `sigma_phi` only with shapes, got it with shapes =": (CHANNELS, "shapes = false"),
+    "`modal.channels` must be left out without shapes, got it. bare.csv has": ('"modes.csv"', '"bare.csv"'),
     "[modal]: modes.csv": ('file = "modes.csv"', 'file = "modes.csv"\nnames = { omega = "frequency" }'),
-    "`modal.chanels` must be left out, it is no key. Did you mean `channels`?": ("channels =", "chanels ="),
-    "`processing` must be left out without [data], got it. Identified modes need none.": (
-        SAMPLER,
-        "[processing]\ndecimate = 1",
-    ),
-    "`likelihood` must be left out without [data], got it": (
-        SAMPLER,
-        '[likelihood]\nkinds = ["EXP"]\nsigma = 0.1',
-    ),
-    "`report.quantities` must be left out without [data], got it. The report has": (
-        SAMPLER,
-        '[report]\nquantities = ["base_shear"]',
-    ),
-    "`likelihood` must be given with [data]: a table.": (
-        SAMPLER,
-        '[data]\nfiles = "acceleration.csv"\nbase = "base"\nsensors = ["top"]\ndofs = [2]',
-    ),
-    "`likelihood.kinds` must not have ABC with [modal], for a tolerance on responses says nothing of": (
-        SAMPLER,
-        DATA.replace('"EXP"', '"EXP", "ABC"').partition("\n\n")[2].replace('"sigma"', "0.1"),
-    ),
-    "`priors.modal_mode` must have a name of letters, digits and underscores that is not taken": (
-        "[priors]",
-        '[priors]\nmodal_mode = { distribution = "Normal" }',
-    ),
-    "`priors.k` must be used by the structure or a likelihood, it is nowhere": (
-        STRUCTURE,
-        '[structure]\ntype = "SpringMassChain"\nmass = 1.0\nstiffness = [1.0, 2.0]\n[priors]\n'
-        'k = { distribution = "Normal" }\n',
-    ),
+    "`processing` must be left out without [data], got it.": (SAMPLER, "[processing]\ndecimate = 1"),
+    "`likelihood` must be left out without [data],": (SAMPLER, '[likelihood]\nkinds = ["EXP"]\nsigma = 0.1'),
+    "`report.quantities` must be left out without": (SAMPLER, '[report]\nquantities = ["base_shear"]'),
+    "`likelihood` must be given with [data]: a table.": (SAMPLER, DATA.split("\n\n")[1]),
+    "`likelihood.kinds` must not have ABC with [modal], for a tolerance on responses": (SAMPLER, WITH_ABC),
+    "`priors.modal_mode` must have a name of letters, digits and underscores": ("k1 = {", "modal_mode = {"),
     "`modal.nodes` must be an existing file, got": (PHI, f'{PHI}\nnodes = "nowhere.csv"'),
 }
 
@@ -217,8 +143,6 @@ def test_broken_configurations_name_the_key(folder, capsys, message):
     text = MODAL + STRUCTURE + SAMPLER
     assert text.count(old) == 1, old
     text = text.replace(old, new)
-    if '"e"' in new:
-        text = text.replace("[priors]", '[priors]\ne = { distribution = "Normal", mu = -1.0, sigma = 0.1 }')
     if "[data]" in new:
         text = with_damping(text)
     assert cli.main(["update", str(write(folder, "broken", text))]) == 2
@@ -343,9 +267,6 @@ def test_posterior_has_the_truth_and_the_report_its_numbers(finished, folder):
     assert "The model has a partner for all 3 identified modes" in html
     assert re.search(r"The data changed k\d \(0\.\d\d\), ", html)
     assert "Data used" in html and "measured accelerations" not in html
-
-
-def test_outputs_of_modes_alone(finished):
     figures = {path.stem for path in (finished / "figures").iterdir()}
     assert {"MODAL_mac", "MODAL_shapes", "MODAL_prior_posterior"} <= figures
     assert not figures & {"record", "frequencies", "MODAL_response"}
@@ -446,16 +367,13 @@ def test_verdict_on_modes():
 @pytest.mark.slow
 def test_check_draws_what_there_is(folder, capsys, monkeypatch):
     monkeypatch.setattr(sampling, "sample", None)
-    assert cli.main(["check", str(folder / "m.toml")]) == 0
-    told = capsys.readouterr().err
-    assert "modes: 3 modes at 3 channels from modes.csv" in told
-    assert (folder / "m-check.png").read_bytes().startswith(b"\x89PNG")
     path = write(folder, "both", MODAL + with_damping(STRUCTURE) + DATA)
     assert cli.main(["check", str(path)]) == 0
-    assert {"both-check.png", "both-check-modes.png"} <= {file.name for file in folder.iterdir()}
-    stiff = (MODAL + STRUCTURE).replace("3.4e8, 3.0e8, 2.5e8", "9e8, 9e8, 9e8")
+    assert "modes: 3 modes at 3 channels from modes.csv" in capsys.readouterr().err
+    for name in ("both-check.png", "both-check-modes.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+    stiff = (MODAL + STRUCTURE).replace("3.4e8, 3.0e8, 2.5e8", "9e8, 9e8, 9e8").replace(PHI, "")
+    stiff = stiff.replace("modes.csv", "bare.csv").replace(CHANNELS, "")
     assert cli.main(["check", str(write(folder, "stiff", stiff))]) == 0
     assert "Outside of what the priors expect (5 to 95 %): 1 (" in capsys.readouterr().err
-    bare = (MODAL + STRUCTURE).replace("modes.csv", "bare.csv").replace(CHANNELS, "").replace(PHI, "")
-    assert cli.main(["check", str(write(folder, "plain", bare))]) == 0
-    assert not (folder / "plain-check.png").exists()
+    assert not (folder / "stiff-check.png").exists()
