@@ -1,6 +1,5 @@
 """Several events in one configuration: order, continuation, alarms, and what is refused."""
 
-import re
 import shutil
 
 import numpy as np
@@ -21,7 +20,7 @@ from pymc_features.update.sampling import seed_of
 pytestmark = pytest.mark.slow
 
 SOUND, DAMAGED = (400.0, 400.0, 400.0), (400.0, 300.0, 400.0)
-NOISE = 0.5  # m/s^2
+NOISE, DAMPING = 0.5, structures.ModalDamping(0.02)  # m/s^2
 ASKED = []  # models and settings of the last sequence, and its last state
 TOML = """
 [events]
@@ -57,8 +56,7 @@ random_seed = 3
 def write_event(path, stiffness, seed, dt=0.02):
     """A file with four channels: a chain under an earthquake of its own, and white noise."""
     base = synthetic_earthquake(12.0, dt, random_seed=seed, pga=2.0)
-    damping = structures.ModalDamping(0.02)
-    floors = simulate(structures.SpringMassChain([0.15] * 3, stiffness, damping), base).values
+    floors = simulate(structures.SpringMassChain([0.15] * 3, stiffness, DAMPING), base).values
     noise = np.random.default_rng(seed).standard_normal(floors.shape)
     columns = np.vstack([base.time, base.acceleration, floors + NOISE * noise])
     header = "time [s],base [m/s^2],floor1 [m/s^2],floor2 [m/s^2],floor3 [m/s^2]"
@@ -172,13 +170,6 @@ def test_one_event_more_samples_one_event(made, tmp_path, monkeypatch, capsys):
     assert (tmp_path / "bridge-output-1" / "sequence").is_dir()
 
 
-def test_one_event_alone(made, tmp_path):
-    path = copied(made, tmp_path, ("change = 0.01", 'pattern = "*-8.csv"'))
-    assert cli.main(["update", str(path), "--cores", "1"]) == 0
-    page = (tmp_path / "bridge-output" / "report.html").read_text()
-    assert "One event, event-8.csv: there is nothing yet to compare it with." in page
-
-
 def test_check_draws_each_event(made, tmp_path, capsys):
     path = copied(made, tmp_path)
     assert cli.main(["check", str(path)]) == 0
@@ -241,46 +232,33 @@ def test_numbers_in_names_are_ordered():
 
 
 DATASET = 'dataset = "mini_shake_table"'
+FOLDER = 'folder = "events"'
+LAW = '[likelihood]\nkinds = ["NORM"]\nsigma = "sigma"\n'
 MODES = '\n[modal]\nfile = "modes.csv"\nsigma_f = 0.01\nshapes = false\n'
 REFUSED = {  # what is said: what is changed, into what
-    "`events` must have one of the keys `folder` and `files`, got both or neither": ('folder = "events"', ""),
+    r"`likelihood` must be given with \[events\]: a table": (LAW, ""),
+    "`events` must have one of the keys `folder` and `files`, got both or neither": (FOLDER, ""),
     "`events` must have `pattern` only with `folder`": (
-        'folder = "events"',
+        FOLDER,
         'files = ["events/event-8.csv"]\npattern = "*"',
     ),
-    r"`events` must name each event once, got \['a', 'a'\]": ('folder = "events"', 'files = ["a", "a"]'),
-    "`events.folder` must be an existing folder, got 'nowhere'": ('folder = "events"', 'folder = "nowhere"'),
+    r"`events` must name each event once, got \['a', 'a'\]": (FOLDER, 'files = ["a", "a"]'),
+    "`events.folder` must be an existing folder, got 'nowhere'": (FOLDER, 'folder = "nowhere"'),
     r"`events.folder` must hold an event or more, got none with a name like '\*.mat'": (
         "change = 0.01",
         'pattern = "*.mat"',
     ),
-    "event missing.csv: .*missing.csv": ('folder = "events"', 'files = ["missing.csv"]'),
+    "event missing.csv: .*missing.csv": (FOLDER, 'files = ["missing.csv"]'),
     "`events.change` must be a probability between 0 and 1, got 1.5": ("change = 0.01", "change = 1.5"),
-    "`events.forgetting` must be a number above 0 and at most 1, got 0.0": (
-        "change = 0.01",
-        "forgetting = 0.0",
-    ),
-    "`events.drift` must name priors of the file, got 'k9'. Known here: k1, k2": (
-        "change = 0.01",
-        "drift = { k9 = 5.0 }",
-    ),
-    "`events.drift` must be a table of priors to positive numbers.* got -5.0 for k1": (
-        "change = 0.01",
-        "drift = { k1 = -5.0 }",
-    ),
-    "`likelihood.kinds` must not have CAL with .events.*Take NORM, TN, EXP, CN": (
-        '["NORM"]',
-        '["NORM", "CAL"]',
-    ),
+    "`events.forgetting` must be a number above 0 and at most 1, got": ("change = 0.01", "forgetting = 0.0"),
+    "`events.drift` must be a table of priors to positive": ("change = 0.01", "drift = { k1 = -5.0 }"),
+    "`likelihood.kinds` must not have CAL with .events.*Take NORM, TN, EXP,": ('["NORM"]', '["NORM", "CAL"]'),
     "`likelihood.kinds` must not have ABC with .events.": ('["NORM"]', '["EXP", "ABC"]'),
     "`sampler.method` must be \"auto\" with .events., got 'nuts'": ("draws = 100", 'method = "nuts"'),
     "`sampler.draws` must be at least 100 with .events., got 50": ("draws = 100", "draws = 50"),
     "`data.files` must be left out where events are files": ("[data]", '[data]\nfiles = "motion.csv"'),
-    "`record` must be left out where events are files": (
-        'base = "base"',
-        "[record]\npath = 'a.csv'\n[data]",
-    ),
-    "`data.files` must be given where events are folders": ('folder = "events"', 'files = ["events"]'),
+    "`record` must be left out where events are files": ('base = "base"', "[record]\npath = 'a.csv'\n[data]"),
+    "`data.files` must be given where events are folders": (FOLDER, 'files = ["events"]'),
     "`events` must be left out with `data.dataset`, got both": ("[data]", f"[data]\n{DATASET}"),
     r"`events` must be left out without \[data\], got it. .* rows of one table.": (
         '[data]\nbase = "base"\nsensors = ["floor1", "floor2", "floor3"]\n',
@@ -294,31 +272,27 @@ REFUSED = {  # what is said: what is changed, into what
 
 
 def test_identified_modes_count_once(made, tmp_path):
-    """With the first event; the posterior after all has what they say, and the report lists them."""
+    """With the first event, of several or alone; the posterior has what they say."""
     path = copied(made, tmp_path, ("change = 0.01", 'pattern = "event-[89].csv"'))
-    exact = structures.SpringMassChain([0.15] * 3, SOUND, structures.ModalDamping(0.02)).modes()
+    exact = structures.SpringMassChain([0.15] * 3, SOUND, DAMPING).modes()
     f = exact.natural_frequencies[:2, None] * [0.99999, 1.00001]
     rows = "\n".join(f"{a:.6f},{b:.6f}" for a, b in f.T)
     (path.parent / "modes.csv").write_text(f"f1 [Hz],f2 [Hz]\n{rows}\n")
-    path.write_text(path.read_text() + MODES.replace("0.01", "1e-4"))
+    text = path.read_text() + MODES.replace("0.01", "1e-4")
+    path.write_text(text)
     problem = read_problem(path)
-    observed = [
-        [v.name for v in declare(problem.first.at(problem, one), "NORM").observed_RVs]
-        for one in problem.events
-    ]
-    assert observed == [["y", "modal"], ["y"]]
-    tree = run_update(problem, cores=1)["NORM"]
+    models = [declare(problem.first.at(problem, one), "NORM") for one in problem.events]
+    assert [[v.name for v in model.observed_RVs] for model in models] == [["y", "modal"], ["y"]]
+    path.write_text(text.replace("[89]", "8"))
+    assert cli.main(["update", str(path), "--cores", "1"]) == 0
+    page = (tmp_path / "bridge-output" / "report.html").read_text()
+    assert "One event, event-8.csv: there is nothing yet to compare it with." in page
+    tree = results(tmp_path)
     assert tree["matched"].sizes["identified"] == 4
-    found = modes_of_springs(tree["posterior"])
+    springs = np.column_stack([tree["posterior"][k].values.ravel() for k in ("k1", "k2")])
+    chains = [structures.SpringMassChain([0.15] * 3, [*k, 400.0], DAMPING) for k in springs]
+    found = np.array([chain.modes().natural_frequencies[:2] for chain in chains])
     assert (found.std(axis=0) < 2e-4 * f.mean(axis=1)).all()
-
-
-def modes_of_springs(posterior):
-    """Two natural frequencies [Hz] of each draw."""
-    springs = np.column_stack([posterior[k].values.ravel() for k in ("k1", "k2")])
-    damping = structures.ModalDamping(0.02)
-    chains = [structures.SpringMassChain([0.15] * 3, [*k, 400.0], damping) for k in springs]
-    return np.array([chain.modes().natural_frequencies[:2] for chain in chains])
 
 
 @pytest.mark.parametrize("match", REFUSED)
@@ -331,14 +305,6 @@ def test_what_is_refused(made, tmp_path, match):
     assert text.count(old) == 1
     path.write_text(text.replace(old, new))
     with pytest.raises(ConfigError, match=match):
-        read_problem(path)
-
-
-def test_events_without_a_likelihood(made, tmp_path):
-    path = copied(made, tmp_path)
-    kept = re.sub(r"\[likelihood\].*?(?=\n\[)", "", path.read_text(), flags=re.DOTALL)
-    path.write_text(kept)
-    with pytest.raises(ConfigError, match=r"`likelihood` must be given with \[events\]: a table"):
         read_problem(path)
 
 
