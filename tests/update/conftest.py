@@ -6,6 +6,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from pymc_features.update import write_example
+from support.browser import CHROMIUM
 from support.update_files import SMALL, replaced
 
 
@@ -13,9 +14,7 @@ from support.update_files import SMALL, replaced
 def example(tmp_path_factory):
     """The example with simulated data, few draws of EXP and ABC."""
     path = tmp_path_factory.mktemp("update") / "frame.toml"
-    paths, sentence = write_example(path, synthetic=True)
-    assert paths == [path, path.with_name("frame-measured.csv"), path.with_name("frame.schema.json")]
-    assert sentence == "data: simulated, in frame-measured.csv, as asked"
+    write_example(path, synthetic=True)
     path.write_text(replaced(path.read_text(), SMALL))
     return path
 
@@ -46,3 +45,14 @@ def blank_figures(request, monkeypatch):
     """
     if "drawn" not in request.fixturenames:
         monkeypatch.setattr(Figure, "savefig", blank)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Chromium, for tests marked by `needs_browser`."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield opened
+        opened.close()

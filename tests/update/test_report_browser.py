@@ -1,10 +1,7 @@
 """The page of a report in a real browser: nothing is cut off at three widths, and all that moves does."""
 
-import csv
 import json
-import os
 import re
-import shutil
 import time
 from pathlib import Path
 
@@ -15,73 +12,25 @@ import xarray as xr
 from pymc_features import ModalDamping, SpringMassChain, simulate
 from pymc_features.update import read_problem, run_update, write_outputs
 from pymc_features.update.report.page import page_of
+from support.browser import OUTSIDE, check_width, check_widths, load, needs_browser
 from support.report_pages import payload
 from support.report_results import large_result
-from update import test_update_ambient as ambient
-from update import test_update_cyclic as cyclic
 from update import test_update_modal as modal
 
-CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium: install Debian's package `chromium`"),
-]
-WIDTHS = (390, 768, 1440)
-PAGES = ("large", "modal", "cyclic", "ambient")
+pytestmark = [pytest.mark.slow, needs_browser]
 LAPLACE = '\n[sampler]\nmethod = "laplace"\ndraws = 300\ncores = 1\n'
-OUTSIDE = """() => [...document.body.querySelectorAll("*")]
-  .filter(e => !e.ownerSVGElement && e.getClientRects().length && getComputedStyle(e).visibility !== "hidden")
-  .filter(e => !(e.tagName === "svg" && e.id === "js-plotly-tester"))
-  .filter(e => { const r = e.getBoundingClientRect(); return r.left < -1 || r.right > innerWidth + 1; })
-  .map(e => `${e.tagName} ${e.className} ${e.id}`)"""
-CLIPPED = """() => [...document.querySelectorAll("main svg.main-svg text")]
-  .filter(e => e.textContent.trim() && e.getClientRects().length)
-  .filter(e => { const box = one => one.getBoundingClientRect();
-    const t = box(e), f = box(e.closest(".js-plotly-plot"));
-    return t.left < f.left - 2 || t.right > f.right + 2 || t.top < f.top - 2 || t.bottom > f.bottom + 2; })
-  .map(e => e.textContent)"""
-
-
-def updated(path: Path) -> Path:
-    """The page of an update by Laplace's approximation."""
-    problem = read_problem(path)
-    return write_outputs(problem, run_update(problem, progressbar=False), path.parent / "out")[-1]
 
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory, blank_module) -> dict[str, Path]:
-    """One page of each kind of data."""
-    folder = tmp_path_factory.mktemp("pages")
-    found = {"large": folder / "large.html"}
-    found["large"].write_text(page_of(large_result()), encoding="utf-8")
-    for name in PAGES[1:]:
-        (folder / name).mkdir()
-    files = modal.folder.__wrapped__(FolderOf(folder / "modal"))
+    """A large page, and that of modes and accelerations by Laplace's approximation."""
+    large = tmp_path_factory.mktemp("pages") / "large.html"
+    large.write_text(page_of(large_result()), encoding="utf-8")
+    files = modal.folder.__wrapped__(tmp_path_factory)
     both = modal.MODAL + modal.with_damping(modal.STRUCTURE) + modal.DATA.replace('"EXP"', '"NORM", "EXP"')
-    found["modal"] = updated(modal.write(files, "both", both + LAPLACE))
-    found["cyclic"] = updated(cyclic.write(folder / "cyclic"))
-    text = ambient.LAPLACE + ambient.priors()
-    found["ambient"] = updated(ambient.write(folder / "ambient", ambient.shaken(1)[:, :6000], text))
-    return found
-
-
-class FolderOf:
-    """What the fixture of another test takes for `tmp_path_factory`."""
-
-    def __init__(self, folder: Path):
-        self.folder = folder
-
-    def mktemp(self, _):
-        return self.folder
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield opened
-        opened.close()
+    problem = read_problem(modal.write(files, "both", both + LAPLACE))
+    result = run_update(problem, progressbar=False)
+    return {"large": large, "modal": write_outputs(problem, result, files / "out")[-1]}
 
 
 @pytest.fixture(scope="module")
@@ -110,77 +59,18 @@ def view(browser, pages, opened):
     assert [said for _, said in used if said] == []
 
 
-def load(browser, path, width, options):
-    """A page that is drawn, and the list of what it complains of or asks a network for."""
-    said = []
-    page = browser.new_context(viewport={"width": width, "height": 900}, offline=True, **options).new_page()
-    page.set_default_timeout(PATIENCE)
-    page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda asked: said.append(asked.url) if asked.url[:5] not in URLS else None)
-    page.goto(path.as_uri())
-    page.wait_for_selector("body[data-ready]")
-    return page, said
-
-
-PATIENCE = 300_000  # ms, for machines on which others work
-URLS = ("file:", "blob:", "data:")
-
-
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", ["large", "modal"])
 def test_nothing_is_cut_off(view, name):
-    """Opened on a phone, and widened to a tablet and a screen; the other tests open it on a screen."""
-    page = view(name, WIDTHS[0])
-    for width in WIDTHS:
-        page.set_viewport_size({"width": width, "height": 900})
-        page.wait_for_timeout(800)
-        check_width(page)
-    drawn = page.evaluate(
-        "[...document.querySelectorAll('[data-figure]')].map(e => [e.dataset.figure, "
-        "e.querySelectorAll('.js-plotly-plot svg path, canvas').length > 0])"
-    )
-    assert len(drawn) >= 4 and all(is_drawn for _, is_drawn in drawn), drawn
-
-
-def check_width(page):
-    """Nothing is beyond the window, and no text beyond its figure."""
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-    assert page.evaluate(OUTSIDE) == []
-    assert page.evaluate(CLIPPED) == []
-
-
-@pytest.mark.parametrize("width", WIDTHS[1:])
-def test_nothing_is_cut_off_where_it_is_opened_wide(view, width):
-    check_width(view("modal", width))
+    check_widths(view(name, 390))
 
 
 def test_what_is_too_wide_is_seen(view):
-    """The checks above can fail."""
-    page = view("cyclic", 390)
+    """The check above can fail; it holds where a page is opened wide."""
+    check_width(view("modal", 768))
+    page = view("modal", 390)
     page.evaluate("document.querySelector('h2').style.width = '500px'")
     assert page.evaluate(OUTSIDE) != []
     page.evaluate("document.querySelector('h2').style.width = ''")
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_numbers_are_those_of_the_table(view, pages, name):
-    """Whatever the prefix: 1.5 MN/m and 1.5e6 N/m are the same to half of the last digit."""
-    page = view(name, 390)
-    rows = page.eval_on_selector_all(
-        "#posterior tbody tr", "rows => rows.map(row => [...row.cells].map(cell => cell.textContent))"
-    )
-    text = payload(pages[name].read_text(), "files")["table.csv"]
-    if name != "large":
-        assert text == pages[name].with_name("table.csv").read_text()
-    table = list(csv.reader(text.splitlines()))[1:]
-    assert [row[:2] for row in rows] == [row[:2] for row in table]
-    for shown, saved in zip(rows, table, strict=True):
-        numbers, exact = np.array(shown[3:8], float), np.array(saved[3:8], float)
-        factor = 10.0 ** np.round(np.log10(exact[1] / numbers[1]))
-        half = np.array([0.5 * 10.0 ** -len(cell.partition(".")[2]) for cell in shown[3:8]])
-        assert (np.abs(numbers - exact / factor) <= 1.001 * half).all(), shown
-        prefix = {1e6: "M", 1e3: "k", 1.0: "", 1e-3: "m"}.get(float(factor), "10")
-        assert factor == 1.0 or shown[2].startswith((prefix, "10")), shown
 
 
 def area(page, figure, x, y):

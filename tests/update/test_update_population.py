@@ -10,7 +10,7 @@ from scipy import stats
 from pymc_features import cli
 
 MASS, ERROR = 1000.0, 0.02
-FREQUENCIES = {"a": 1.00, "b": 1.06, "c": 0.97, "d": 1.03}  # of four specimens [Hz]
+FREQUENCIES = {"a": 1.00, "b": 1.06, "c": 0.97}  # of three specimens [Hz]
 CONFIG = """
 [modal]
 file = "a.csv"
@@ -27,14 +27,13 @@ k = { distribution = "LogNormal", mu = 10.6, sigma = 0.5 }
 [hierarchical.members]
 b = { modal = { file = "b.csv" } }
 c = { modal = { file = "c.csv" } }
-d = { modal = { file = "d.csv" } }
 
 [hierarchical.population.k]
 mean = { distribution = "LogNormal", mu = 10.6, sigma = 0.3 }
 scatter = { distribution = "HalfNormal", sigma = 0.2 }
 
 [sampler]
-draws = 500
+draws = 300
 chains = 2
 """
 
@@ -61,7 +60,7 @@ def by_quadrature() -> dict:
 
 @pytest.mark.slow
 def test_mean_and_scatter_are_those_of_quadrature(path, capsys):
-    """Quantiles of 1,000 draws within 4 standard errors, 8 % of the 5-95 % width."""
+    """Quantiles of 600 draws within 4 standard errors, 10 % of the 5-95 % width."""
     assert cli.main(["update", str(path)]) == 0
     told = capsys.readouterr().err
     assert "Mean, scatter and members" in told and "the next one" in told
@@ -71,12 +70,12 @@ def test_mean_and_scatter_are_those_of_quadrature(path, capsys):
         cdf = np.cumsum(weights) / weights.sum()
         low, middle, high = np.interp([0.05, 0.5, 0.95], cdf, values)
         draws = np.quantile(found["population"][name].values, [0.05, 0.5, 0.95])
-        np.testing.assert_allclose(draws, [low, middle, high], atol=0.08 * (high - low))
+        np.testing.assert_allclose(draws, [low, middle, high], atol=0.1 * (high - low))
     members = found["members"]["k"].median(["chain", "draw"])
     alone = {name: (2.0 * np.pi * f) ** 2 * MASS for name, f in FREQUENCIES.items()}
-    assert members["event"].values.tolist() == ["[structure]", "b", "c", "d"]
+    assert members["event"].values.tolist() == ["[structure]", "b", "c"]
     middle = float(found["population"]["k_mean"].median())
-    for name, value in zip(("[structure]", "b", "c", "d"), alone.values(), strict=True):
+    for name, value in zip(("[structure]", "b", "c"), alone.values(), strict=True):
         got = float(members.sel(event=name))
         assert min(middle, value) - 0.01 * value < got < max(middle, value) + 0.01 * value
     assert float(found["next"]["k"].std()) > float(found["population"]["k_mean"].std())
