@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from scipy import stats
 
 from benchmarks import truth
 from pymc_features import (
@@ -52,7 +53,7 @@ def judged(measured, response, structure, record=SHAKING, low=None, high=None):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", [0.02, 0.2, 1.0])
+@pytest.mark.parametrize("level", [0.02, 1.0])
 def test_of_right_models_nothing_bad_is_said(level):
     """White noise on 40 earthquakes: no word but the first sentence in 38 of them at least.
 
@@ -109,13 +110,8 @@ def fitted(folder, record, floors, *pairs):
     exact = np.vstack([record.acceleration, floors])
     values = exact + scale * np.random.default_rng(7).standard_normal(exact.shape)
     names = ["time [s]", "base [m/s^2]", *(f"floor{i} [m/s^2]" for i in range(1, len(floors) + 1))]
-    np.savetxt(
-        folder / "fit-measured.csv",
-        np.column_stack([record.time, values.T]),
-        delimiter=",",
-        header=",".join(names),
-        comments="",
-    )
+    table, rows = folder / "fit-measured.csv", np.column_stack([record.time, values.T])
+    np.savetxt(table, rows, delimiter=",", header=",".join(names), comments="")
     common = [
         ('kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]', 'kinds = ["NORM"]'),
         ('method = "auto"', 'method = "laplace"'),
@@ -130,29 +126,35 @@ def fitted(folder, record, floors, *pairs):
 
 @pytest.mark.slow
 def test_fits_of_right_and_wrong_models(tmp_path):
-    """A yielding chain, an inverted base and a storey that the model lacks are named, a right one not."""
+    """A yielding chain, a storey that the model lacks and a base taken as straight lines are named.
+
+    Straight lines lack 8 % of modes up to 16 Hz at 100 Hz. Of the right model nothing is said.
+    """
 
     def told(name, record, floors, *pairs):
         folder = tmp_path / name
         folder.mkdir()
         return fitted(folder, record, floors, *pairs)
 
-    assert len(told("right", SHAKING, EXACT).sentences) == 1
+    motion, parts = truth.motion(100.0, 12.0, 11, top=0.4), BUILDING.matrices()._asdict()
+    exact = truth.response(truth.Linear(**parts, influence=np.ones((3, 1))), motion)
+    data = Record(motion.values()[0], 0.01), exact["absolute_acceleration"]
+    assert len(told("right", *data).sentences) == 1
+    sensors = 'sensors = ["floor1", "floor2", "floor3"]'
+    found = told("linear", *data, (sensors, f'{sensors}\ninterpolation = "linear"'))
+    assert not found.explains
+    assert any('Set interpolation = "band-limited".' in sentence for sentence in found.sentences)
     drift = np.abs(simulate(BUILDING, SHAKING, quantity="inter_storey_drift").values).max()
-    yielding = HystereticChain(
-        MASS, STIFFNESS, ModalDamping(0.01), yield_displacement=0.25 * drift, post_yield_ratio=0.1
-    )
+    yields = {"yield_displacement": 0.25 * drift, "post_yield_ratio": 0.1}
+    yielding = HystereticChain(MASS, STIFFNESS, ModalDamping(0.01), **yields)
     found = told("yields", SHAKING, simulate(yielding, SHAKING).values)
     assert not found.explains
     assert any("springs yield" in sentence for sentence in found.sentences)
-    found = told("inverted", Record(-SHAKING.acceleration, SHAKING.dt), EXACT)
-    assert not found.explains
-    assert any("base, or all sensors, may be inverted" in sentence for sentence in found.sentences)
     found = told(
         "lacks",
         SHAKING,
         EXACT[[0, 2]],
-        ('sensors = ["floor1", "floor2", "floor3"]', 'sensors = ["floor1", "floor2"]'),
+        (sensors, 'sensors = ["floor1", "floor2"]'),
         ("mass = [0.1601, 0.1601, 0.1421]", "mass = [0.1601, 0.1421]"),
         ('stiffness = ["k1", "k2", "k3"]', 'stiffness = ["k1", "k2"]'),
         ("k3 = {", "# k3 = {"),
@@ -174,8 +176,6 @@ def test_what_sensors_cannot_tell_is_said_before(tmp_path):
 
 def test_overlap_against_the_closed_form():
     """Of two Gaussians a distance of d apart: 2 Phi(-d / 2). Of equal ones: nearly one."""
-    from scipy import stats
-
     rng = np.random.default_rng(0)
     prior = rng.standard_normal(40_000)
     for distance in (0.0, 0.5, 2.0):
@@ -196,19 +196,3 @@ def test_short_records_and_still_bases_raise_no_warning(size):
         found = residuals_of(measured, (1.0, 20.0), part, np.array([3.0, 9.0]))
     np.testing.assert_allclose(found.relative, 0.1)
     assert np.isfinite(found.coherence).all()
-
-
-@pytest.mark.slow
-def test_a_base_taken_as_straight_lines(tmp_path):
-    """Modes up to 16 Hz at 100 Hz: straight lines lack 8 % there, and the fit is refused."""
-    motion = truth.motion(100.0, 12.0, 11, top=0.4)
-    parts = BUILDING.matrices()._asdict()
-    exact = truth.response(truth.Linear(**parts, influence=np.ones((3, 1))), motion)
-    record, floors = Record(motion.values()[0], 0.01), exact["absolute_acceleration"]
-    sensors = 'sensors = ["floor1", "floor2", "floor3"]'
-    for name, keys in (("band-limited", sensors), ("linear", f'{sensors}\ninterpolation = "linear"')):
-        folder = tmp_path / name
-        folder.mkdir()
-        found = fitted(folder, record, floors, (sensors, keys))
-        is_refused = any('Set interpolation = "band-limited".' in sentence for sentence in found.sentences)
-        assert is_refused == (name == "linear") == (not found.explains), found.sentences

@@ -1,12 +1,14 @@
-"""`data.gaps`: what is left out or refused, what the report says; a gap planted in the shaking table."""
+"""Channels with gaps and with faults: what is left out, refused, proposed and reported."""
 
 import re
+import warnings
 
 import numpy as np
 import pytest
 
 from pymc_features import cli, datasets, signals
-from pymc_features.exceptions import ConfigError
+from pymc_features.exceptions import ChannelWarning, ConfigError
+from pymc_features.signals.channels import earlier
 from pymc_features.update import read_problem, run_update, sampling, write_example, write_outputs
 from pymc_features.update.kinds.model import declare
 from pymc_features.update.report.document import document_of
@@ -109,11 +111,8 @@ def test_files_of_their_own(example, tmp_path):
         (tmp_path / f"{name}.csv").write_text("\n".join(lines) + "\n")
     files = ", ".join(f'{name} = "{name}.csv"' for name in names[1:])
     path = tmp_path / "frame.toml"
-    path.write_text(
-        re.sub(
-            r'files = "frame-measured.csv".*', f"files = {{ {files} }}\n{LEAVE_OUT}", replaced(text, QUICK)
-        )
-    )
+    lines = f"files = {{ {files} }}\n{LEAVE_OUT}"
+    path.write_text(re.sub('files = "frame-measured.csv".*', lines, replaced(text, QUICK)))
     missing = np.isnan(read_problem(path).measured.channels.values)
     assert missing[1, 296:344].all() and missing.sum() == 48  # wider by a period of the filter, 4 samples
 
@@ -187,24 +186,120 @@ def test_check_says_and_draws(example, tmp_path, capsys):
 
 # --------------------------------------------------------------------------- the shaking table
 
+SENSORS = ("base", "floor1", "floor2", "floor3")
+LATE = 0.0125  # s, one and a half samples
 
-def table(folder, span, value):
-    """The shaking table's configuration, its data in a file with another value in a part of floor2."""
-    names = ("base", "floor1", "floor2", "floor3")
-    channels = datasets.mini_shake_table("northridge").sel(sensor=list(names))
-    first, last = (round(time / signals.sampling_step(channels)) for time in span)
-    values = channels.values.copy()
-    values[2, first:last] = values[2, first:last] if value is None else value
-    header = ",".join(["time [s]", *(f"{name} [m/s^2]" for name in names)])
-    rows = np.column_stack([channels["time"].values, *values])
+
+def written(folder, planted, data=(), processing=(), changes=()):
+    """A configuration for the shaking table's channels after `planted(values, step)`, with further lines."""
+    channels = datasets.mini_shake_table("northridge").sel(sensor=list(SENSORS))
+    values = {name: channels.sel(sensor=name).values for name in SENSORS}
+    values |= planted(values, signals.sampling_step(channels))
+    header = ",".join(["time [s]", *(f"{name} [m/s^2]" for name in SENSORS)])
+    rows = np.column_stack([channels["time"].values, *(values[name] for name in SENSORS)])
     np.savetxt(folder / "table.csv", rows, delimiter=",", header=header, comments="", fmt="%.9g")
     path = folder / "table.toml"
     path.unlink(missing_ok=True)
     write_example(path)
-    source = f'files = "table.csv"\n{LEAVE_OUT}\n#'
-    changes = [('dataset = "mini_shake_table"', "#"), ('event = "northridge"', source), *QUICK]
-    path.write_text(replaced(path.read_text(), changes))
+    pairs = [
+        ('dataset = "mini_shake_table"', "#"),
+        ('event = "northridge"', "\n".join(['files = "table.csv"', *data]) + "\n#"),
+        ("check_band = [0.5, 1.8]", "\n".join(processing) + "\n#"),
+    ]
+    if any(line.startswith("sensors") for line in data):
+        pairs.append(('\nsensors = ["floor1", "floor2", "floor3"]\n', "\n"))
+    path.write_text(replaced(path.read_text(), [*pairs, *changes]))
     return path
+
+
+PLANTED = {  # the lines that correct what is planted into the channels, of a step
+    'sensors = ["floor3", "floor2", "floor1"]': lambda v, _: {"floor1": v["floor3"], "floor3": v["floor1"]},
+    "scale = { floor2 = -1.0 }": lambda v, _: {"floor2": -v["floor2"]},
+    "scale = { base = -1.0 }": lambda v, _: {"base": -v["base"]},
+    "delay = { floor1 = 0.01": lambda v, step: {"floor1": earlier(v["floor1"], -LATE / step)},
+}
+INVERTED = PLANTED["scale = { floor2 = -1.0 }"]
+
+
+def nothing(values, step):
+    return {}
+
+
+def told_by(path):
+    """What is said about the channels, the lines proposed, and the channels."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        problem = read_problem(path)
+    messages = [str(w.message) for w in caught if issubclass(w.category, ChannelWarning)]
+    proposed = [m.partition("[data]: ")[2].split("; ") for m in messages if "put into [data]" in m]
+    return messages, proposed[0] if proposed else [], problem.measured
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory, data_dir):
+    """The channels without the lags that they have: a third of a sample at the third floor, and less."""
+    folder = tmp_path_factory.mktemp("clean")
+    _, lines, _ = told_by(written(folder, nothing))
+    assert re.fullmatch(r"delay = \{ floor1 = 0\.00056\d*, floor3 = 0\.0025\d* \}", lines[0])
+    assert len(lines) == 1
+    messages, more, measured = told_by(written(folder, nothing, lines))
+    assert not messages
+    assert not more
+    assert measured.checked.startswith("checked against each other between 0.5")
+    return measured
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", PLANTED)
+def test_lines_that_are_proposed_correct_the_fault(clean, tmp_path, line):
+    planted = PLANTED[line]
+    messages, lines, _ = told_by(written(tmp_path, planted))
+    assert len(messages) > 1
+    assert any(proposed.startswith(line) for proposed in lines)
+    messages, more, measured = told_by(written(tmp_path, planted, lines))
+    assert not messages
+    assert not more
+    size = np.abs(clean.channels.values).max()
+    off = 2e-4 if "delay" in line else 1e-6  # a lag of 12.5 ms is found to 3 us, 0.0003 samples
+    np.testing.assert_allclose(measured.record.acceleration, clean.record.acceleration, atol=off * size)
+    np.testing.assert_allclose(measured.channels.values, clean.channels.values, atol=off * size)
+
+
+def test_clocks_that_are_seconds_apart_are_an_error(tmp_path, data_dir):
+    def apart(values, step):
+        return {"floor2": np.roll(values["floor2"], round(2.5 / step))}
+
+    path = written(tmp_path, apart)
+    with (
+        pytest.warns(ChannelWarning),
+        pytest.raises(ConfigError, match=r"must have one clock, got floor2 2\.501 s after the base"),
+    ):
+        read_problem(path)
+
+
+def test_a_record_too_short_for_the_check_is_said_to_be(tmp_path, data_dir):
+    path = written(tmp_path, INVERTED, ["rows = [1000, 1400]"], ["check_band = false"])
+    pairs = ("trim = [9.0, 24.0]", ""), ("window = [0.5, 9.5]", "kind = 'constant'")
+    path.write_text(text := replaced(path.read_text(), pairs))
+    messages, _, measured = told_by(path)
+    assert measured.checked == "not checked against each other, as the file says"
+    path.write_text(text.replace("check_band = false", ""))
+    messages, lines, measured = told_by(path)
+    assert messages[0].startswith("floor2 may be inverted: the modes that the priors expect explain")
+    assert lines == ["scale = { floor2 = -1.0 }"]
+    assert "not checked against each other: `channels` must last at least" in measured.checked
+    assert measured.channels.sizes["time"] == 400
+
+
+def test_command_looks_at_the_data_and_samples_nothing(tmp_path, data_dir, capsys, monkeypatch):
+    path = written(tmp_path, INVERTED)
+    monkeypatch.setattr("pymc_features.update.sampling.run_part", None)
+    assert cli.main(["check", str(path)]) == 0
+    said = capsys.readouterr().err
+    assert "put into [data]: scale = { floor2 = -1.0 }; delay = { floor1 = 0.0005" in said
+    assert "lag [ms]" in said
+    assert "nothing was found wrong" not in said
+    assert (tmp_path / "table-check.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow
@@ -217,7 +312,15 @@ def test_a_gap_in_the_shaking_table(data_dir, tmp_path):
     """
     found = {}
     for name, value in (("clean", None), ("gap", np.nan), ("zeros", 0.0)):
-        problem = read_problem(table(tmp_path, (21.0, 22.0), value))
+
+        def planted(values, step, value=value):
+            first, last = round(21.0 / step), round(22.0 / step)
+            with_gap = np.array(values["floor2"])
+            with_gap[first:last] = with_gap[first:last] if value is None else value
+            return {"floor2": with_gap}
+
+        path = written(tmp_path, planted, [LEAVE_OUT], ["check_band = [0.5, 1.8]"], QUICK)
+        problem = read_problem(path)
         assert bool(problem.measured.left_out) == (name == "gap")
         model = declare(problem, "EXP")
         found[name] = sampling.sample(problem, "EXP", model, Running(1))["posterior"].to_dataset()
