@@ -13,7 +13,7 @@ from scipy import signal
 import pymc_features as pmf
 from pymc_features.ambient.bands import band_transform, checked_bands
 from pymc_features.ambient.free_modes import BandData, FreeModes, Posterior
-from pymc_features.ambient.identify import without_tones
+from pymc_features.ambient.identify import each_once, without_tones
 from pymc_features.exceptions import AmbientWarning
 from pymc_features.simulators.spectra import Lines
 
@@ -218,6 +218,19 @@ def test_tones_are_taken_off_and_modes_are_not():
     for seed in range(5):
         narrow = channels([0.5], [0.005], [[1.0, 2.0]], 1000.0, seed, noise=0.01).values
         assert without_tones(narrow, 0.1)[1].size == 0
+
+
+def test_a_mode_that_was_found_twice_is_one():
+    """The frequency that is known better stays; close modes of other shapes or damping are two."""
+    first = (1.0, 0.010, np.array([0.6, 0.8]), 0.002)
+    again = (1.002, 0.012, np.array([-0.61, -0.79]) / np.hypot(0.61, 0.79), 0.003)
+    assert each_once([again, first]) == [first]
+    for other in (
+        (1.002, 0.012, np.array([0.8, -0.6]), 0.003),
+        (1.01, *again[1:]),
+        (1.002, 0.06, *again[2:]),
+    ):
+        assert each_once([other, first]) == [first, other]
 
 
 @pytest.mark.slow

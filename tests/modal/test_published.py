@@ -11,16 +11,7 @@ import pytest
 import xarray as xr
 from scipy.linalg import eigh
 
-from pymc_features import (
-    AffineStructure,
-    ModalDamping,
-    ModalFeature,
-    SpringMassChain,
-    mac,
-    match_modes,
-    modes,
-    sample,
-)
+import pymc_features as pmf
 from pymc_features.datasets import footbridge
 from pymc_features.exceptions import DatasetUnavailableError, ModalMatchWarning
 from support.graphs import LIGHT, PLAIN
@@ -42,10 +33,10 @@ def bridge(data_dir):
 def finite_elements(bridge, alpha):
     """K(alpha) = sum_i (1 + alpha_i) K_i, 946 degrees of freedom, 474 of them without mass."""
     parts = list(bridge.stiffness_parts.values())
-    structure = AffineStructure(
+    structure = pmf.AffineStructure(
         bridge.mass,
         stiffness=sum(parts[1:], parts[0]),
-        damping=ModalDamping(0.01),
+        damping=pmf.ModalDamping(0.01),
         stiffness_terms=parts,
         theta=np.zeros(17),
     )
@@ -56,7 +47,7 @@ def finite_elements(bridge, alpha):
 def bridge_modes(bridge):
     """Frequencies [Hz] and shapes of eight modes at alpha."""
     alpha = pt.vector("alpha", shape=(17,))
-    found = modes(finite_elements(bridge, alpha), 8, sensors=bridge.measured)
+    found = pmf.modes(finite_elements(bridge, alpha), 8, sensors=bridge.measured)
     return pytensor.function([alpha], [found.frequencies, found.shapes], mode=PLAIN)
 
 
@@ -68,7 +59,7 @@ def test_modes_of_the_footbridge_are_the_published_ones(name, bridge, bridge_mod
     n = len(expected["frequencies_hz"])
     np.testing.assert_allclose(frequencies[:n], expected["frequencies_hz"], rtol=1e-6)
     taken = expected.get("best_match", range(5))
-    values = mac(bridge.modal.shapes, shapes)
+    values = pmf.mac(bridge.modal.shapes, shapes)
     np.testing.assert_allclose(values[range(5), list(taken)], expected["mac"], rtol=1e-6)
 
 
@@ -76,8 +67,8 @@ def bridge_model(bridge, sigma_f):
     with warnings.catch_warnings(), pm.Model() as model:
         warnings.simplefilter("ignore", ModalMatchWarning)
         alpha = pm.Normal("alpha", 0.0, 0.3, shape=17)
-        found = modes(finite_elements(bridge, alpha), 8, sensors=bridge.measured)
-        ModalFeature("y", found, observed=bridge.modal, sigma_f=sigma_f, sigma_phi=0.2)
+        found = pmf.modes(finite_elements(bridge, alpha), 8, sensors=bridge.measured)
+        pmf.ModalFeature("y", found, observed=bridge.modal, sigma_f=sigma_f, sigma_phi=0.2)
     return model
 
 
@@ -87,7 +78,7 @@ def test_the_swapped_modes_of_the_footbridge_are_matched(bridge, published):
     own = published["footbridge"]
     optima = [own[name]["alpha"] for name in ("published_optimum_mac", "published_optimum_vector")]
     points = xr.Dataset({"alpha": (("chain", "draw", "part"), np.array([[np.zeros(17), *optima]]))})
-    tables = {s: match_modes(points, model=bridge_model(bridge, s)).isel(chain=0) for s in (0.003, 0.2)}
+    tables = {s: pmf.match_modes(points, model=bridge_model(bridge, s)).isel(chain=0) for s in (0.003, 0.2)}
     np.testing.assert_array_equal(tables[0.2]["model_mode"][0], own["nominal"]["best_match"])
     for table in tables.values():
         np.testing.assert_array_equal(table["model_mode"][1:], [range(5)] * 2)
@@ -141,10 +132,10 @@ def test_posterior_of_a_frame_contains_the_published_optima(published):
         variance = pm.InverseGamma("variance", SHAPE, RATE)
         stiffness = frame["nominal"]["stiffness_lbf_per_in"] * factors
         mass = np.full(4, frame["nominal"]["mass_lbf_s2_per_in"])
-        found = modes(SpringMassChain(mass, stiffness, ModalDamping(0.0)), sensors=[0, 1, 2])
-        ModalFeature("y", found, observed=measured, sigma_f=SIGMA_F, sigma_phi=pt.sqrt(variance))
+        found = pmf.modes(pmf.SpringMassChain(mass, stiffness, pmf.ModalDamping(0.0)), sensors=[0, 1, 2])
+        pmf.ModalFeature("y", found, observed=measured, sigma_f=SIGMA_F, sigma_phi=pt.sqrt(variance))
         quiet = {"cores": 1, "random_seed": 1, "progressbar": False, "compile_kwargs": {"mode": LIGHT}}
-        idata = sample(1000, chains=2, check=None, **quiet)
+        idata = pmf.sample(1000, chains=2, check=None, **quiet)
     assert idata.sample_stats.attrs["advice"] == ""
     draws = idata.posterior["factors"].values.reshape(-1, 4)
     densities = np.array([frame_density(x, frame, measured) for x in draws])
