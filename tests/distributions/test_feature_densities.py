@@ -263,24 +263,6 @@ def grid_ranks(log_density, grid, truth):
 REPLICATIONS = 2000
 
 
-@EVERY_FEATURE
-def test_calibration_of_sigma(likelihood):
-    """Known response, unknown sigma: ranks uniform at a false-alarm rate of 1e-3; other law rejected."""
-    rng = np.random.default_rng(11)
-    mu = rng.normal(size=(3, 6))
-    truth = np.exp(rng.normal(size=REPLICATIONS))
-    data = draw(declare(likelihood, mu, truth[:, None]), seed=12)
-    grid = np.exp(np.linspace(-6.0, 6.0, 400))
-    prior = stats.lognorm(s=1.0).logpdf(grid)[:, None]
-
-    def ranks(law):
-        by_sensor = evaluate(law, "data", "logp", mu, grid[:, None, None], data[None])
-        return grid_ranks(prior + by_sensor.sum(axis=-1), np.tile(grid[:, None], REPLICATIONS), truth)
-
-    assert uniformity(ranks(likelihood)) > 1e-3
-    assert uniformity(ranks(OTHER[likelihood])) < 1e-6
-
-
 @pytest.mark.slow
 @EVERY_FEATURE
 def test_calibration_of_a_response(likelihood):

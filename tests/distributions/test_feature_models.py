@@ -11,19 +11,7 @@ import pytest
 import xarray as xr
 from scipy import optimize, special
 
-from pymc_features import (
-    CorrelatedNormal,
-    ExpFeature,
-    GammaFeature,
-    RayleighDamping,
-    SpringMassChain,
-    TruncNormalFeature,
-    abc_tolerance,
-    mean_square_discrepancy,
-    response,
-    sigma_mpv,
-    simulate,
-)
+import pymc_features as pmf
 from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.likelihoods import HISTORY_LIKELIHOODS
 from support.graphs import LIGHT
@@ -38,7 +26,7 @@ def pulse():
 
 @pytest.fixture(scope="module")
 def measured(pulse):
-    return with_noise(simulate(with_first_spring(1.0), pulse, dt=0.04), 0.3)
+    return with_noise(pmf.simulate(with_first_spring(1.0), pulse, dt=0.04), 0.3)
 
 
 def build_model(likelihood, pulse, observed, *, sigma=None, theta=None, deterministic=False, **kwargs):
@@ -46,7 +34,7 @@ def build_model(likelihood, pulse, observed, *, sigma=None, theta=None, determin
     with pm.Model(coords={"sensor": ["low", "middle", "top"]}) as model:
         theta = pm.Uniform("theta", 0.5, 1.5) if theta is None else theta()
         sigma = pm.HalfNormal("sigma", 1.0) if sigma is None else sigma()
-        mu = response(with_first_spring(theta), pulse, dt=0.04)
+        mu = pmf.response(with_first_spring(theta), pulse, dt=0.04)
         mu = pm.Deterministic("mu", mu) if deterministic else mu
         declare(likelihood, "y", mu=mu, sigma=sigma, observed=observed, **kwargs)
     return model
@@ -63,7 +51,7 @@ def updated(request, pulse, measured):
 @pytest.mark.parametrize("deterministic", [False, True])
 def test_time_dimension_of_predictions_without_data(pulse, deterministic):
     model = build_model(
-        ExpFeature, pulse, None, dims=("sensor", "seconds"), shape=(3, 21), deterministic=deterministic
+        pmf.ExpFeature, pulse, None, dims=("sensor", "seconds"), shape=(3, 21), deterministic=deterministic
     )
     np.testing.assert_allclose(model.coords["seconds"], np.arange(21) * 0.04, rtol=1e-14)
 
@@ -79,20 +67,20 @@ def test_log_likelihood_of_each_sensor(updated, pulse, measured):
     for c in range(2):
         for d in range(2):
             theta, sigma = (float(posterior["posterior"][k][c, d]) for k in ("theta", "sigma"))
-            mu = simulate(with_first_spring(theta), pulse, dt=0.04).values
+            mu = pmf.simulate(with_first_spring(theta), pulse, dt=0.04).values
             expected = equation(likelihood, measured, mu, sigma)
             np.testing.assert_allclose(values.values[c, d], expected, rtol=1e-10)
 
 
 @pytest.mark.default_mode
-@pytest.mark.parametrize("likelihood", [ExpFeature, CorrelatedNormal])
+@pytest.mark.parametrize("likelihood", [pmf.ExpFeature, pmf.CorrelatedNormal])
 def test_model_log_probability(likelihood, pulse, measured):
     """`compile_logp` by Numba: the equation."""
     model = build_model(likelihood, pulse, measured)
     logp = model.compile_logp(vars=model.observed_RVs, jacobian=False)
     theta = 0.5 + special.expit(0.3)
     got = logp({"theta_interval__": 0.3, "sigma_log__": np.log(0.4)})
-    mu = simulate(with_first_spring(theta), pulse, dt=0.04).values
+    mu = pmf.simulate(with_first_spring(theta), pulse, dt=0.04).values
     assert float(got) == pytest.approx(equation(likelihood, measured, mu, 0.4).sum(), rel=1e-10)
 
 
@@ -125,8 +113,8 @@ def test_prior_and_posterior_predictive(updated, pulse):
     for c in range(2):
         for d in range(2):
             theta, sigma = (float(posterior["posterior"][k][c, d]) for k in ("theta", "sigma"))
-            mu = simulate(with_first_spring(theta), pulse, dt=0.04).values
-            z = np.sqrt(mean_square_discrepancy(mu, predictive.values[c, d])) / sigma
+            mu = pmf.simulate(with_first_spring(theta), pulse, dt=0.04).values
+            z = np.sqrt(pmf.mean_square_discrepancy(mu, predictive.values[c, d])) / sigma
             assert (z < 5.0).all()
             assert len(np.unique(z)) == 3
 
@@ -134,7 +122,7 @@ def test_prior_and_posterior_predictive(updated, pulse):
 POINT = {"theta_interval__": 0.1, "sigma_log__": -1.0}
 
 
-@pytest.mark.parametrize("likelihood", [TruncNormalFeature, CorrelatedNormal])
+@pytest.mark.parametrize("likelihood", [pmf.TruncNormalFeature, pmf.CorrelatedNormal])
 def test_observe_and_do(likelihood, pulse, measured):
     free = build_model(likelihood, pulse, None, shape=(3, 21))
     assert [rv.name for rv in free.free_RVs] == ["theta", "sigma", "y"]
@@ -155,7 +143,7 @@ def test_long_data_do_not_become_constants(pulse):
     """Constants over a megabyte keep Numba from using its disk cache."""
     data = np.random.default_rng(0).normal(size=(2, 70_000))
     with pm.Model() as model:
-        y = ExpFeature("y", np.zeros((2, 1)) * data, sigma=1.0, observed=data)
+        y = pmf.ExpFeature("y", np.zeros((2, 1)) * data, sigma=1.0, observed=data)
     observed = model.rvs_to_values[y]
     assert isinstance(observed, pytensor.compile.SharedVariable)
     np.testing.assert_array_equal(observed.get_value(), data)
@@ -168,17 +156,17 @@ SILENT = None
 @pytest.mark.parametrize(
     ("likelihood", "n_sensors", "per_sensor", "match"),
     [
-        (TruncNormalFeature, 1, False, "^1 sensor with one sigma carry no information on the parameters"),
-        (TruncNormalFeature, 2, False, f"^2 sensors with one sigma have a {WARNED} TruncNormalFeature"),
-        (TruncNormalFeature, 4, False, WARNED),
-        (TruncNormalFeature, 5, False, SILENT),
-        (TruncNormalFeature, 9, True, "^9 sensors with a sigma for each sensor carry no information"),
-        (ExpFeature, 1, False, f"^1 sensor with one sigma have a {WARNED} ExpFeature. Add sensors"),
-        (ExpFeature, 3, False, SILENT),
-        (ExpFeature, 3, True, "^3 sensors with a sigma for each sensor have a posterior without"),
-        (ExpFeature, 4, True, SILENT),
-        (functools.partial(GammaFeature, m=2.5), 1, False, WARNED),
-        (functools.partial(GammaFeature, m=5.0), 1, False, SILENT),
+        (pmf.TruncNormalFeature, 1, False, "^1 sensor with one sigma carry no information on the parameters"),
+        (pmf.TruncNormalFeature, 2, False, f"^2 sensors with one sigma have a {WARNED} TruncNormalFeature"),
+        (pmf.TruncNormalFeature, 4, False, WARNED),
+        (pmf.TruncNormalFeature, 5, False, SILENT),
+        (pmf.TruncNormalFeature, 9, True, "^9 sensors with a sigma for each sensor carry no information"),
+        (pmf.ExpFeature, 1, False, f"^1 sensor with one sigma have a {WARNED} ExpFeature. Add sensors"),
+        (pmf.ExpFeature, 3, False, SILENT),
+        (pmf.ExpFeature, 3, True, "^3 sensors with a sigma for each sensor have a posterior without"),
+        (pmf.ExpFeature, 4, True, SILENT),
+        (functools.partial(pmf.GammaFeature, m=2.5), 1, False, WARNED),
+        (functools.partial(pmf.GammaFeature, m=5.0), 1, False, SILENT),
     ],
 )
 def test_warning_of_too_few_sensors(likelihood, n_sensors, per_sensor, match):
@@ -199,7 +187,7 @@ def test_warning_of_too_few_sensors(likelihood, n_sensors, per_sensor, match):
 
 @pytest.mark.parametrize(
     ("likelihood", "n_sensors", "power"),
-    [(TruncNormalFeature, 4, 1.5), (ExpFeature, 3, 2.5)],
+    [(pmf.TruncNormalFeature, 4, 1.5), (pmf.ExpFeature, 3, 2.5)],
 )
 def test_the_number_of_sensors_that_is_enough(likelihood, n_sensors, power):
     """Why: sigma integrated out leaves S^(-(m - 1)/2); the variance exists for m - 1 > 3.
@@ -216,20 +204,20 @@ def test_the_number_of_sensors_that_is_enough(likelihood, n_sensors, power):
     slope = -(marginal[1] - marginal[0]) / np.log(1e6)  # in powers of S
     assert slope == pytest.approx(power, rel=1e-3)
     finite_variance = 2 * power > 3
-    assert finite_variance == (n_sensors > {TruncNormalFeature: 4, ExpFeature: 2}[likelihood])
+    assert finite_variance == (n_sensors > {pmf.TruncNormalFeature: 4, pmf.ExpFeature: 2}[likelihood])
 
 
 @EVERY_FEATURE
 def test_noise_free_data_are_warned_of(likelihood, pulse):
     """At the model's initial point the response equals the data; with noise or a fixed sigma: silence."""
-    chain = SpringMassChain(np.ones(6), 100.0, RayleighDamping(0.1, 1e-3))
-    exact = simulate(chain, pulse).values
+    chain = pmf.SpringMassChain(np.ones(6), 100.0, pmf.RayleighDamping(0.1, 1e-3))
+    exact = pmf.simulate(chain, pulse).values
 
     def declared(data, sigma):
         with pm.Model(), warnings.catch_warnings():
             warnings.simplefilter("error", FeatureLikelihoodWarning)
             theta = pm.Uniform("theta", 0.5, 1.5)
-            mu = response(chain.scale_stiffness(theta, [0]), pulse)
+            mu = pmf.response(chain.scale_stiffness(theta, [0]), pulse)
             declare(likelihood, "y", mu=mu, sigma=sigma or pm.HalfNormal("sigma"), observed=data)
 
     with pytest.raises(FeatureLikelihoodWarning, match="the data have no noise. The discrepancy can van"):
@@ -242,35 +230,35 @@ def test_noise_free_data_are_warned_of(likelihood, pulse):
 def test_sigma_mpv_is_the_mode_of_the_exp_likelihood():
     """Eq. (11) against a numerical maximum of Eq. (9)."""
     mu, data, _ = random_data(5, n_sensors=6)
-    e = mean_square_discrepancy(mu, data)
-    best = sigma_mpv(e)
+    e = pmf.mean_square_discrepancy(mu, data)
+    best = pmf.sigma_mpv(e)
 
     def loss(log_sigma):
-        return -evaluate(ExpFeature, "feature", "logp", mu, np.exp(log_sigma), data).sum()
+        return -evaluate(pmf.ExpFeature, "feature", "logp", mu, np.exp(log_sigma), data).sum()
 
     around = np.log(best)
     found = optimize.minimize_scalar(loss, bounds=(around - 3, around + 3), options={"xatol": 1e-10})
     assert np.exp(found.x) == pytest.approx(best, rel=1e-6)
     assert best == pytest.approx(np.sqrt(e.sum() / (2 * 6)), rel=1e-14)
     assert isinstance(best, float)
-    batch = sigma_mpv(np.stack([e, 4 * e]))
+    batch = pmf.sigma_mpv(np.stack([e, 4 * e]))
     np.testing.assert_allclose(batch, [best, 2 * best], rtol=1e-14)
-    assert sigma_mpv([0.0, 0.0]) == 0.0
+    assert pmf.sigma_mpv([0.0, 0.0]) == 0.0
 
 
 @pytest.mark.parametrize("e", [[-1.0, 2.0], [np.nan], [np.inf], [], 3.0])
 def test_sigma_mpv_refuses(e):
     with pytest.raises(ValueError, match="`e` must be mean squares, finite and not negative, one for each"):
-        sigma_mpv(e)
+        pmf.sigma_mpv(e)
 
 
 def test_abc_tolerance():
     """Eq. (16); at the most probable sigma the tolerance is the smallest discrepancy itself."""
-    assert abc_tolerance(0.3, 7) == pytest.approx(2 * 7 * 0.09, rel=1e-15)
+    assert pmf.abc_tolerance(0.3, 7) == pytest.approx(2 * 7 * 0.09, rel=1e-15)
     e = np.array([0.2, 0.5, 0.1])
-    assert abc_tolerance(sigma_mpv(e), 3) == pytest.approx(e.sum(), rel=1e-14)
-    assert isinstance(abc_tolerance(np.float32(1.0), np.int64(2)), float)
-    np.testing.assert_allclose(abc_tolerance([1.0, 2.0], 2), [4.0, 16.0])
+    assert pmf.abc_tolerance(pmf.sigma_mpv(e), 3) == pytest.approx(e.sum(), rel=1e-14)
+    assert isinstance(pmf.abc_tolerance(np.float32(1.0), np.int64(2)), float)
+    np.testing.assert_allclose(pmf.abc_tolerance([1.0, 2.0], 2), [4.0, 16.0])
 
 
 def test_abc_tolerance_of_a_posterior():
@@ -280,10 +268,10 @@ def test_abc_tolerance_of_a_posterior():
     expected = 2 * 7 * np.quantile(draws.values, 0.9) ** 2
     posterior = xr.Dataset({"sigma": draws, "theta": draws})
     for given in (draws, posterior, xr.DataTree.from_dict({"/posterior": posterior})):
-        assert abc_tolerance(given, 7) == pytest.approx(expected, rel=1e-14)
+        assert pmf.abc_tolerance(given, 7) == pytest.approx(expected, rel=1e-14)
     each = xr.DataArray(rng.gamma(3.0, size=(2, 500, 3)), dims=("chain", "draw", "sensor"))
     expected = 2 * 3 * np.quantile(each.values, 0.9, axis=(0, 1)) ** 2
-    np.testing.assert_allclose(abc_tolerance(each, 3), expected, rtol=1e-14)
+    np.testing.assert_allclose(pmf.abc_tolerance(each, 3), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -300,7 +288,7 @@ def test_abc_tolerance_of_a_posterior():
 )
 def test_abc_tolerance_refuses(sigma, n_sensors, error, match):
     with pytest.raises(error, match=match):
-        abc_tolerance(sigma, n_sensors)
+        pmf.abc_tolerance(sigma, n_sensors)
 
 
 def test_names_in_print(updated):

@@ -7,15 +7,7 @@ import pymc as pm
 import pytensor.tensor as pt
 import pytest
 
-from pymc_features import (
-    DiscrepancySimulator,
-    ModalDamping,
-    SpringMassChain,
-    SubsetSimulation,
-    mac,
-    modes,
-    sample_smc,
-)
+import pymc_features as pmf
 from pymc_features.smc import population_logp
 from support.sampling import SERIAL
 
@@ -27,13 +19,13 @@ DATA = {
 
 def storeys(theta):
     """Three storeys of theta times 100 N/m."""
-    return SpringMassChain(np.ones(3), 200.0 * theta, ModalDamping(0.0))
+    return pmf.SpringMassChain(np.ones(3), 200.0 * theta, pmf.ModalDamping(0.0))
 
 
 def build(data=DATA, *, shape=3, **kwargs):
     with pm.Model() as model:
         theta = pm.Uniform("theta", 0.5, 1.5, shape=shape)
-        DiscrepancySimulator("y", modes(storeys(theta)), observed=data, **kwargs)
+        pmf.DiscrepancySimulator("y", pmf.modes(storeys(theta)), observed=data, **kwargs)
     return model
 
 
@@ -41,7 +33,7 @@ def errors(theta, data, epsilon):
     """e (entry,) by NumPy: the best of all assignments."""
     found = storeys(theta).modes()
     e_f = np.square(np.log(data["frequencies"])[:, None] - np.log(found.natural_frequencies))
-    e_s = 1.0 - mac(data["shapes"], found.mode_shapes.T)
+    e_s = 1.0 - pmf.mac(data["shapes"], found.mode_shapes.T)
     has = (~np.isnan(data["shapes"])).sum(axis=1) > 1
     options = []
     for r in itertools.permutations(range(3)):
@@ -75,8 +67,8 @@ def test_draws_are_the_matched_modes():
     for i, r in ((0, 2), (1, 0)):
         known = ~np.isnan(DATA["shapes"][i])
         measured, own = DATA["shapes"][i, known], draw[i, 1:][known]
-        assert mac([own], [found.mode_shapes[known, r]])[0, 0] == pytest.approx(1.0)
-        e = 1.0 - mac([measured], [own])[0, 0]  # at the best scale
+        assert pmf.mac([own], [found.mode_shapes[known, r]])[0, 0] == pytest.approx(1.0)
+        e = 1.0 - pmf.mac([measured], [own])[0, 0]  # at the best scale
         assert np.sum((own - measured) ** 2) / np.sum(measured**2) == pytest.approx(e, rel=1e-9)
         assert not draw[i, 1:][~known].any()
     assert not draw[2, 1:].any()
@@ -88,7 +80,7 @@ def test_every_draw_is_within_the_tolerance():
     data["shapes"] = storeys(np.ones(3)).modes().mode_shapes.T[[2, 0, 1]]
     model = build(data, epsilon=2e-3)
     with model:
-        idata = sample_smc(200, kernel=SubsetSimulation, random_seed=2, **SERIAL)
+        idata = pmf.sample_smc(200, kernel=pmf.SubsetSimulation, random_seed=2, **SERIAL)
     thetas = idata.posterior["theta"].values.reshape(-1, 3)
     rho = np.array([errors(theta, data, np.ones(6)).sum() for theta in thetas])
     assert rho.max() <= 2e-3 * (1 + 1e-9)
@@ -107,7 +99,7 @@ def test_frequencies_alone():
 
 def test_what_modes_do_not_take():
     k = pt.scalar("k")
-    found = modes(storeys(k), sensors=[0, 1])
+    found = pmf.modes(storeys(k), sensors=[0, 1])
     good = dict(observed=DATA | {"shapes": DATA["shapes"][:, :2]}, epsilon=0.3)
     with pm.Model():
         for change, said in (
@@ -116,10 +108,10 @@ def test_what_modes_do_not_take():
             ({"observed": DATA}, "`observed` must have shapes at the 2 sensors of `modes`, got 3"),
         ):
             with pytest.raises(ValueError, match=said):
-                DiscrepancySimulator("y", found, **(good | change))
+                pmf.DiscrepancySimulator("y", found, **(good | change))
         with pytest.raises(
             ValueError, match="`modes` must have at least as many modes as were identified, 3"
         ):
-            DiscrepancySimulator("y", modes(storeys(k), 2, sensors=[0, 1]), **good)
+            pmf.DiscrepancySimulator("y", pmf.modes(storeys(k), 2, sensors=[0, 1]), **good)
         with pytest.raises(TypeError, match="`mu` must be what `modes` returned, at `sensors`"):
-            DiscrepancySimulator("y", found._replace(shapes=2.0 * found.shapes), **good)
+            pmf.DiscrepancySimulator("y", found._replace(shapes=2.0 * found.shapes), **good)

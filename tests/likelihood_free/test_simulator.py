@@ -8,20 +8,7 @@ from pymc.distributions.simulator import SimulatorRV
 from scipy import stats
 from scipy.optimize import brentq
 
-from pymc_features import (
-    DiscrepancySimulator,
-    ExpFeature,
-    ModalDamping,
-    PersistentSMC,
-    RayleighDamping,
-    SpringMassChain,
-    SubsetSimulation,
-    abc_tolerance,
-    mean_square_discrepancy,
-    response,
-    sigma_mpv,
-    simulate,
-)
+import pymc_features as pmf
 from pymc_features.exceptions import NotDifferentiableError
 from pymc_features.likelihoods import KERNELS
 from pymc_features.smc import population_logp
@@ -40,7 +27,7 @@ def pulse():
 
 @pytest.fixture(scope="module")
 def measured(pulse):
-    return with_noise(simulate(with_first_spring(1.0), pulse), 0.05)
+    return with_noise(pmf.simulate(with_first_spring(1.0), pulse), 0.05)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +35,7 @@ def rho(pulse, measured):
     """S(theta) of Eq. (15), by a route without PyMC."""
 
     def total(theta):
-        return np.square(simulate(with_first_spring(theta), pulse).values - measured).mean(axis=1).sum()
+        return np.square(pmf.simulate(with_first_spring(theta), pulse).values - measured).mean(axis=1).sum()
 
     return total
 
@@ -56,8 +43,8 @@ def rho(pulse, measured):
 def build_model(pulse, measured, *, epsilon, kernel="uniform", theta=None, **kwargs):
     with pm.Model() as model:
         theta = pm.Uniform("theta", *PRIOR) if theta is None else theta()
-        mu = response(with_first_spring(theta), pulse)
-        DiscrepancySimulator("y", mu, epsilon=epsilon, observed=measured, kernel=kernel, **kwargs)
+        mu = pmf.response(with_first_spring(theta), pulse)
+        pmf.DiscrepancySimulator("y", mu, epsilon=epsilon, observed=measured, kernel=kernel, **kwargs)
     return model
 
 
@@ -89,8 +76,8 @@ def test_exponential_kernel_is_exp_at_fixed_sigma(pulse, measured, rho, sigma):
     """epsilon = 2 sigma^2: ExpFeature, Eq. (9), constants included."""
     logp = log_likelihood(build_model(pulse, measured, epsilon=2 * sigma**2, kernel="exponential"))
     with pm.Model() as model:
-        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
-        ExpFeature("y", mu=mu, sigma=sigma, observed=measured)
+        mu = pmf.response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
+        pmf.ExpFeature("y", mu=mu, sigma=sigma, observed=measured)
     feature = log_likelihood(model)
     for theta in (0.6, 0.9, 1.0, 1.3):
         assert logp(theta) == pytest.approx(feature(theta), rel=1e-10)
@@ -117,8 +104,8 @@ def test_failed_simulation_is_outside(pulse, measured):
 def test_tolerance_may_be_data(pulse, measured, rho):
     with pm.Model() as model:
         epsilon = pm.Data("epsilon", 2 * rho(1.2))
-        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
-        DiscrepancySimulator("y", mu, epsilon=epsilon, observed=measured)
+        mu = pmf.response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
+        pmf.DiscrepancySimulator("y", mu, epsilon=epsilon, observed=measured)
     logp = log_likelihood(model)
     assert logp(1.2) == 0.0
     with model:
@@ -130,17 +117,19 @@ def test_all_random_parameters_of_a_structure_reach_the_simulator(pulse, measure
     """Mass, stiffness, Rayleigh pair and ratios; output step, sensors, modes and quantity as asked."""
     asked = {"dt": 0.04, "sensors": [2, 0], "n_modes": 2, "quantity": "relative_velocity"}
     cases = {
-        "mass": lambda x: SpringMassChain([1.0, x, 1.0], 100.0, ModalDamping(0.05)),
-        "stiffness": lambda x: SpringMassChain(np.ones(3), [100.0, 90.0, 100.0 * x], ModalDamping(0.05)),
-        "rayleigh": lambda x: SpringMassChain(np.ones(3), 100.0, RayleighDamping(x, 1e-3)),
-        "ratios": lambda x: SpringMassChain(np.ones(3), 100.0, ModalDamping(0.05 * x)),
+        "mass": lambda x: pmf.SpringMassChain([1.0, x, 1.0], 100.0, pmf.ModalDamping(0.05)),
+        "stiffness": lambda x: pmf.SpringMassChain(
+            np.ones(3), [100.0, 90.0, 100.0 * x], pmf.ModalDamping(0.05)
+        ),
+        "rayleigh": lambda x: pmf.SpringMassChain(np.ones(3), 100.0, pmf.RayleighDamping(x, 1e-3)),
+        "ratios": lambda x: pmf.SpringMassChain(np.ones(3), 100.0, pmf.ModalDamping(0.05 * x)),
     }
     data = measured[:2, :30]
     for name, build in cases.items():
         with pm.Model() as model:
-            mu = response(build(pm.Uniform("theta", *PRIOR)), pulse, **asked)
-            DiscrepancySimulator("y", mu, epsilon=1.0, observed=data, kernel="exponential")
-        exact = np.square(simulate(build(0.8), pulse, **asked).values - data).mean(axis=1).sum()
+            mu = pmf.response(build(pm.Uniform("theta", *PRIOR)), pulse, **asked)
+            pmf.DiscrepancySimulator("y", mu, epsilon=1.0, observed=data, kernel="exponential")
+        exact = np.square(pmf.simulate(build(0.8), pulse, **asked).values - data).mean(axis=1).sum()
         assert log_likelihood(model)(0.8) == pytest.approx(-exact, rel=1e-10), name
 
 
@@ -158,7 +147,7 @@ def test_function_of_a_scalar_and_a_vector():
     data = np.random.default_rng(0).normal(size=(2, 5))
     with pm.Model() as model:
         slope, offsets = pm.Normal("slope"), pm.Normal("offsets", shape=2)
-        DiscrepancySimulator("y", line, slope, offsets, epsilon=0.5, observed=data, kernel="gaussian")
+        pmf.DiscrepancySimulator("y", line, slope, offsets, epsilon=0.5, observed=data, kernel="gaussian")
         prior = pm.sample_prior_predictive(6, random_seed=1, compile_kwargs={"mode": LIGHT})
     logp = model.compile_logp(vars=model.observed_RVs, mode=LIGHT)
     point = {"slope": 0.3, "offsets": np.array([1.0, -1.0])}
@@ -192,8 +181,8 @@ def test_stock_smc_fills_the_exact_interval(pulse, measured, rho):
     (measured over ten seeds) and a third of it elsewhere; the limit of 6 % is four of them, a false
     alarm in 1e4 seeds. The prior is the negative control.
     """
-    e = mean_square_discrepancy(simulate(with_first_spring(1.0), pulse).values, measured)
-    epsilon = abc_tolerance(1.5 * sigma_mpv(e), n_sensors=3)
+    e = pmf.mean_square_discrepancy(pmf.simulate(with_first_spring(1.0), pulse).values, measured)
+    epsilon = pmf.abc_tolerance(1.5 * pmf.sigma_mpv(e), n_sensors=3)
     low, high = exact_interval(rho, epsilon)
     model = build_model(pulse, measured, epsilon=epsilon)
     with model:
@@ -214,8 +203,8 @@ def test_predictive_draws_are_histories(pulse, measured):
     """Prior and posterior predictive: the response itself at each draw, with dimensions."""
     coords = {"sensor": ["low", "middle", "top"], "time": pulse.time}
     with pm.Model(coords=coords) as model:
-        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
-        DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, dims=("sensor", "time"))
+        mu = pmf.response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
+        pmf.DiscrepancySimulator("y", mu, epsilon=1.0, observed=measured, dims=("sensor", "time"))
         prior = pm.sample_prior_predictive(5, random_seed=1, compile_kwargs={"mode": LIGHT})
         predictive = pm.sample_posterior_predictive(
             prior["prior"].dataset, random_seed=2, progressbar=False, compile_kwargs={"mode": LIGHT}
@@ -226,7 +215,7 @@ def test_predictive_draws_are_histories(pulse, measured):
         assert values.dims == ("chain", "draw", "sensor", "time")
         assert values.shape == (1, 5, 3, 60)
         for k, theta in enumerate(prior["prior"]["theta"].values[0]):
-            expected = simulate(with_first_spring(theta), pulse).values
+            expected = pmf.simulate(with_first_spring(theta), pulse).values
             np.testing.assert_allclose(values.values[0, k], expected, rtol=1e-10, atol=1e-12)
 
 
@@ -261,12 +250,12 @@ REFUSALS_TYPES = {
 def test_refusals(pulse, measured, changes, error, match):
     with pm.Model():
         theta = pm.Uniform("theta", *PRIOR)
-        mu = changes.get("mu", response(with_first_spring(theta), pulse))
+        mu = changes.get("mu", pmf.response(with_first_spring(theta), pulse))
         arguments = {"epsilon": 1.0, "observed": measured} | changes
         params = arguments.pop("params", ())
         arguments.pop("mu", None)
         with pytest.raises(error, match=match):
-            DiscrepancySimulator("y", mu, *params, **arguments)
+            pmf.DiscrepancySimulator("y", mu, *params, **arguments)
 
 
 SCALE = np.array([0.05, 0.3, 1.0])
@@ -295,7 +284,7 @@ def population(model):
 
 def by_histories(pulse, measured, noise, theta=1.2, n=4000):
     """The slow reference: noisy histories, one by one, against the data."""
-    exact = simulate(with_first_spring(theta), pulse).values
+    exact = pmf.simulate(with_first_spring(theta), pulse).values
     noisy = exact + np.reshape(noise, (-1, 1)) * np.random.default_rng(5).standard_normal((n, *exact.shape))
     return np.square(noisy - measured).mean(axis=2)
 
@@ -324,7 +313,7 @@ def test_fused_noise_has_the_exact_law(pulse, measured, noise=SCALE):
     found = mean_squares(pulse, measured, noise)
     assert same_law(found, by_histories(pulse, measured, noise))
     assert not same_law(found, by_histories(pulse, measured, 1.03 * noise))
-    misfit = np.square(simulate(with_first_spring(1.2), pulse).values - measured).mean(axis=1)
+    misfit = np.square(pmf.simulate(with_first_spring(1.2), pulse).values - measured).mean(axis=1)
     rng = np.random.default_rng(7)
     uncorrelated = misfit + noise**2 * rng.chisquare(60, (4000, 3)) / 60
     np.testing.assert_allclose(uncorrelated.mean(axis=0), found.mean(axis=0), rtol=0.05)
@@ -365,7 +354,7 @@ def test_predictive_histories_contain_the_noise(pulse, measured):
     assert len(model.free_RVs) == 1
     theta = prior["prior"]["theta"].values[0]
     residuals = prior["prior_predictive"]["y"].values[0] - [
-        simulate(with_first_spring(t), pulse).values for t in theta
+        pmf.simulate(with_first_spring(t), pulse).values for t in theta
     ]
     np.testing.assert_allclose(residuals.std(axis=(0, 2)), SCALE, rtol=0.029)
     assert abs(np.corrcoef(residuals[:, 2, :-1].ravel(), residuals[:, 2, 1:].ravel())[0, 1]) < 0.045
@@ -373,7 +362,7 @@ def test_predictive_histories_contain_the_noise(pulse, measured):
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize("kernel", [PersistentSMC, pm.smc.kernels.IMH])
+@pytest.mark.parametrize("kernel", [pmf.PersistentSMC, pm.smc.kernels.IMH])
 def test_noise_in_other_samplers(pulse, measured, kernel):
     """PyMC allows no random draws in a log-density but those of a simulator."""
     model = noisy_model(pulse, measured, 0.1, epsilon=0.5)
@@ -397,7 +386,7 @@ def test_noise_of_a_summary(noise, takes_batches):
     frequencies.batched = takes_batches
     with pm.Model() as model:
         k = pm.Uniform("k", 0.5, 1.5, shape=1 if takes_batches else ())
-        DiscrepancySimulator(
+        pmf.DiscrepancySimulator(
             "y", frequencies, k, epsilon=1.0, observed=np.ones(3), kernel="exponential", noise=noise
         )
     found = -population(model).with_rng(np.random.default_rng(1))(np.zeros((4000, 1)))[1]
@@ -409,14 +398,14 @@ def test_noise_of_a_summary(noise, takes_batches):
 
 def test_a_random_tolerance_is_refused(pulse, measured):
     with pm.Model():
-        mu = response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
+        mu = pmf.response(with_first_spring(pm.Uniform("theta", *PRIOR)), pulse)
         with pytest.raises(TypeError, match="`epsilon` must be a number.* got the random variable e. Look"):
-            DiscrepancySimulator("y", mu, epsilon=pm.HalfNormal("e"), observed=measured)
+            pmf.DiscrepancySimulator("y", mu, epsilon=pm.HalfNormal("e"), observed=measured)
     with pm.Model() as model:
         epsilon, x = pm.HalfNormal("e"), pm.Normal("x")
         pm.Simulator("y", lambda rng, x, size: x, x, epsilon=epsilon, observed=[0.0])
     with pytest.raises(TypeError, match="`epsilon` of y must be a number.* depends on random variables"):
-        SubsetSimulation(300, model=model)
+        pmf.SubsetSimulation(300, model=model)
 
 
 def test_a_solver_may_use_its_array_again():
@@ -429,8 +418,8 @@ def test_a_solver_may_use_its_array_again():
 
     with pm.Model() as model:
         x = pm.Normal("x", shape=2)
-        DiscrepancySimulator("y", solver, x, epsilon=0.5, observed=np.zeros(2))
-    kernel = SubsetSimulation(300, model=model, random_seed=1)
+        pmf.DiscrepancySimulator("y", solver, x, epsilon=0.5, observed=np.zeros(2))
+    kernel = pmf.SubsetSimulation(300, model=model, random_seed=1)
     particles = np.array([[0.1, 0.2], [3.0, 1.0], [0.0, 0.5]])
     np.testing.assert_allclose(-kernel.logp(particles)[1], (particles**2).sum(axis=1))
 
@@ -439,7 +428,7 @@ def test_summary_counts_each_entry_once():
     data = np.array([1.0, 2.5, 2.0])
     with pm.Model() as model:
         theta = pm.Uniform("theta", *PRIOR)
-        DiscrepancySimulator(
+        pmf.DiscrepancySimulator(
             "y",
             lambda k: np.sqrt(k) * np.arange(1, 4),
             theta,
