@@ -214,12 +214,10 @@ CAPABILITIES = {  # file: what a user can do: the test
     "study/test_study.py": {
         "study: sampling_rate_study, reproduce": "test_sampled_quantiles_are_the_exact_ones",
         "study: paper": "test_measurements_have_the_stated_noise_once",
+        "study: springs that yield": "test_loops_are_those_of_the_response",
     },
     "test_cli.py": {
         "study: reproduce --executor": "test_reproduce_takes_an_executor",
-    },
-    "study/test_study_bouc_wen.py": {
-        "study: springs that yield": "test_sampled_quantiles_are_the_exact_ones",
     },
     "plots/test_plots.py": {
         "plots": "test_prior_posterior_figure",

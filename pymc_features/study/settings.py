@@ -207,7 +207,7 @@ class SharedResponses:
     steps: `respond(theta)` (s, u) [m/s^2], as `data` are; `strides` are the multiples of the finest step by
     any keys. It is computed at nodes of theta that resolve the narrowest posterior and cover the prior, about
     a thousand; between them the sums are cubic splines, right to 1e-6 where the posteriors are
-    (tests/study/test_study_bouc_wen.py). No response is kept.
+    (tests/study/test_study_exact.py). No response is kept.
     """
 
     def __init__(self, respond: Callable, data: np.ndarray, strides: dict[float, int]):
