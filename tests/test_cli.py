@@ -102,20 +102,23 @@ def started(command):
     )
 
 
-@pytest.mark.processes
-@pytest.mark.parametrize(
-    ("module", "presses"),
-    [("argparse", 1), ("numpy", 1), ("pymc", 2)],
-)
-def test_interrupts_while_importing(module, presses, tmp_path):
-    """From what is imported first to PyMC, which takes seconds: one line, and a second press is too late."""
-    (path := tmp_path / "empty.toml").touch()
-    process = started([sys.executable, "-X", "importtime", "-m", "pymc_features.cli", "update", str(path)])
+def waits_for(process, words):
+    """What a process says until it has said these."""
     said = ""
-    while not said.rstrip().endswith(f" {module}"):
+    while words not in said:
         line = process.stderr.readline()
         assert line, said
-        said = said + line if "import time:" not in line else line
+        said += line
+    return said
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(("module", "presses"), [("numpy", 1), ("pymc", 2)])
+def test_interrupts_while_importing(module, presses, tmp_path):
+    """At first, and in PyMC, which takes seconds: one line, and a second press is too late."""
+    (path := tmp_path / "empty.toml").touch()
+    process = started([sys.executable, "-X", "importtime", "-m", "pymc_features.cli", "update", str(path)])
+    waits_for(process, f" {module}\n")
     for _ in range(presses):
         process.send_signal(signal.SIGINT)
     error = process.communicate(timeout=60)[1]
@@ -124,18 +127,20 @@ def test_interrupts_while_importing(module, presses, tmp_path):
 
 
 @pytest.mark.processes
-def test_interrupt_keeps_what_is_finished(record_file, tmp_path):
-    """Ctrl-C after the first part: exit code 130, one line, no traceback, the part is there."""
+def test_interrupts_keep_what_is_finished(record_file, tmp_path):
+    """After the first part, twice: the second comes while the program stops, or while Python ends."""
     command = [sys.executable, "-m", "pymc_features.cli"]
     process = started([*command, *arguments(record_file, tmp_path, "--draws", "200")])
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and not list(tmp_path.glob("parts/NORM_x0.2.nc")):
         time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
+    for _ in range(2):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.05)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130, error
     assert "Traceback" not in error
-    assert "Interrupted: finished parts are kept in" in error
+    assert "Interrupted: finished parts are kept in" in error or "Interrupted again: ended at once" in error
     assert (tmp_path / "parts" / "NORM_x0.2.nc").exists()
 
 
@@ -172,10 +177,7 @@ def test_a_second_interrupt_ends_what_is_slow_to_stop(where, tmp_path):
     process = started([sys.executable, "-c", SLOW_TO_STOP, "update", str(path)])
     said = ""
     for words in ("at work", "stopping"):
-        while words not in said:
-            line = process.stderr.readline()
-            assert line, said
-            said += line
+        said += waits_for(process, words)
         process.send_signal(signal.SIGINT)
     start = time.monotonic()
     _, rest = process.communicate(timeout=60)  # the other end of the pipe is also the child's
@@ -184,25 +186,6 @@ def test_a_second_interrupt_ends_what_is_slow_to_stop(where, tmp_path):
     assert "Traceback" not in said + rest
     assert rest == "Interrupted again: ended at once; finished parts are kept.\n"
     assert ("Interrupted: finished parts are kept in here" in said) == (where == "at exit")
-
-
-@pytest.mark.processes
-def test_two_interrupts_while_sampling(tmp_path, capsys):
-    """One right after the other: the second comes while the program stops, or while Python ends."""
-    out = tmp_path / "out"
-    assert cli.main(["init", str(tmp_path / "a.toml"), "--synthetic"]) == 0
-    command = ["update", str(tmp_path / "a.toml"), "--out", str(out), "--cores", "1"]
-    process = started([sys.executable, "-m", "pymc_features.cli", *command])
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and not list(out.glob("parts")):
-        time.sleep(0.02)
-    for _ in range(2):
-        process.send_signal(signal.SIGINT)
-        time.sleep(0.05)
-    _, error = process.communicate(timeout=60)
-    assert process.returncode == 130, error
-    assert "Traceback" not in error
-    assert "Interrupted: finished parts are kept in" in error or "Interrupted again: ended at once" in error
 
 
 @pytest.mark.processes
@@ -227,16 +210,11 @@ def test_imports_cannot_swallow_an_interrupt(tmp_path):
 
 @pytest.mark.processes
 def test_interrupt_while_an_error_is_said():
-    code = """
-import sys
-from pymc_features import cli
-
-def interrupted():
-    raise KeyboardInterrupt
-
-cli.main = interrupted
-sys.exit(cli.command())
-"""
+    code = (
+        "import sys\nfrom pymc_features import cli\n"
+        "def interrupted(): raise KeyboardInterrupt\n"
+        "cli.main = interrupted\nsys.exit(cli.command())"
+    )
     process = started([sys.executable, "-c", code])
     assert process.communicate(timeout=60)[1] == "Interrupted.\n"
     assert process.returncode == 130
@@ -254,8 +232,8 @@ def test_interrupt_of_a_command_that_keeps_nothing(monkeypatch, capsys):
 class Clock:
     """Seconds that pass when they are waited for, up to an end; what else is said at its time."""
 
-    def __init__(self, end, events):
-        self.now, self.end, self.events = 0.0, end, events
+    def __init__(self, end, *events):
+        self.now, self.end, self.events = 0.0, end, list(events)
 
     def wait(self, seconds):
         self.now += seconds
@@ -266,30 +244,41 @@ class Clock:
             self.now = after
         return self.now > self.end
 
+    def set(self):
+        self.end = self.now
 
-def test_a_pipe_is_never_silent_for_long(monkeypatch):
-    """A line for each three seconds of silence, and none while something else is said."""
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_nothing_is_silent_for_long(monkeypatch, terminal):
+    """A line for each three seconds of silence, none while something else is said, or there are bars."""
     said = io.StringIO()
+    clock = Clock(21.0, (7.0, lambda: alive.now("[0/2] NORM")), (9.0, lambda: alive.heard()))
     monkeypatch.setattr(progress, "monotonic", lambda: clock.now)
-    clock = Clock(21.0, [(7.0, lambda: alive.now("[0/2] NORM")), (9.0, lambda: alive.heard())])
-    alive = progress.Heartbeat(Console(file=said), "loading")
+    alive = progress.Heartbeat(Console(file=said, force_terminal=terminal), "loading")
     alive.over = clock
     alive._beat()
-    assert said.getvalue().splitlines() == [
-        *("loading, for 3 s", "loading, for 6 s"),
-        *(f"[0/2] NORM, for {seconds} s" for seconds in (5, 8, 11, 14)),
-    ]
+    later = [] if terminal else [f"[0/2] NORM, for {seconds} s" for seconds in (5, 8, 11, 14)]
+    assert said.getvalue().splitlines() == ["loading, for 3 s", "loading, for 6 s", *later]
 
 
-def test_a_terminal_is_told_until_there_are_bars(monkeypatch):
+def test_lines_of_parts_where_there_is_no_terminal_and_one_bar_in_one(monkeypatch):
+    """Parts of two seconds: a line at the first, then not before three seconds have passed."""
+    clock, said = iter([0.0, *(2.0 * k for k in range(6))]), io.StringIO()
+    parts = {"NORM_x0.1": 0, "TN_x0.1": 1, "EXP_x0.1": 2, "ABC_x0.1": 3, "figures": 99, "finished": 100}
+    with monkeypatch.context() as patch:
+        patch.setattr(progress, "monotonic", lambda: next(clock))
+        with progress.PartProgress(Console(file=said), "study", pause=3.0) as update:
+            for part, done in parts.items():
+                update(part, done, 100)
+    lines = ["[0/100] NORM_x0.1", "[2/100] EXP_x0.1, 3 min 16 s left", "[99/100] figures, 0 s left"]
+    assert said.getvalue().split("\n")[:3] == lines and not said.getvalue().split("\n", 3)[3].strip()
     said = io.StringIO()
-    monkeypatch.setattr(progress, "monotonic", lambda: clock.now)
-    clock = Clock(21.0, [(7.0, lambda: alive.now("[0/2] NORM"))])
-    alive = progress.Heartbeat(Console(file=said, force_terminal=True), "loading")
-    clock.set = lambda: setattr(clock, "end", clock.now)
-    alive.over = clock
-    alive._beat()
-    assert said.getvalue().splitlines() == ["loading, for 3 s", "loading, for 6 s"]
+    with progress.PartProgress(Console(file=said, force_terminal=True, width=120), "study") as update:
+        for done in range(50):
+            update(f"NORM_x{done}", done, 50)
+        update("finished", 50, 50)
+    assert said.getvalue().count("\n") == 1
+    assert "50/50" in said.getvalue() and "finished" in said.getvalue()
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="the shell is bash")
