@@ -10,8 +10,8 @@ from pymc_features.simulators import QUANTITIES
 def tight_solution(given, acceleration, dt, at_kinks=False):
     """Histories (n, u) by quantity, at tolerances of 1e-12, with the laws as they are written.
 
-    Each sample starts the integration anew, and `at_kinks` each reversal, or zero of an internal variable: the
-    steps are then smooth in the parameters.
+    Each sample starts the integration anew, and `at_kinks` each reversal, or zero of an internal variable:
+    the steps are then smooth in the parameters.
     """
     mass, stiffness, (alpha, beta), ratios, law = given
     n = mass.size
