@@ -60,7 +60,7 @@ def test_kernels_of_sample_smc_say_what_they_sampled():
 
 def test_decisions():
     """Far apart they are one, equal ones are none, and uncertain ones are refused."""
-    decided = compare({"a": stored(-10.0), "b": stored(-20.0)})["comparison"].attrs
+    decided = compare({"b": stored(-20.0), "a": stored(-10.0)})["comparison"].attrs
     assert decided["decided"] and decided["best"] == "a" and "decide for it" in decided["message"]
     equal = compare({"a": stored(-10.0), "b": stored(-10.0)})["comparison"].attrs
     assert not equal["decided"] and "do not decide" in equal["message"]

@@ -14,16 +14,6 @@ import pymc as pm
 import pytest
 
 import pymc_features as pmf
-from pymc_features import (
-    DiscrepancySimulator,
-    ExternalSimulator,
-    PersistentSMC,
-    PopulationIMH,
-    PopulationMH,
-    SubsetSimulation,
-    TruncNormalFeature,
-    sample_smc,
-)
 from pymc_features.exceptions import CheckpointError
 from pymc_features.smc import KERNELS
 from pymc_features.smc.kernels.checkpoint import MAGIC, Checkpoint, Journal, read_json, remembered
@@ -60,15 +50,15 @@ def model_of(function, epsilon=0.3):
     with pm.Model() as model:
         x = pm.Normal("x", 0.0, 1.0, shape=2)
         observed = np.outer([0.5, -0.5], [1.0, 2.0])
-        DiscrepancySimulator("y", function, x, epsilon=epsilon, observed=observed, kernel="exponential")
+        pmf.DiscrepancySimulator("y", function, x, epsilon=epsilon, observed=observed, kernel="exponential")
     return model
 
 
-def sample(model, kernel=PersistentSMC, **settings):
+def sample(model, kernel=pmf.PersistentSMC, **settings):
     """Particles (chain, draw, 2), and the result."""
     defaults = {"chains": 2, "cores": 1, "random_seed": 5, "draws": DRAWS}
     with model:
-        idata = sample_smc(kernel=kernel, **{**defaults, **settings}, **QUIET)
+        idata = pmf.sample_smc(kernel=kernel, **{**defaults, **settings}, **QUIET)
     return idata.posterior["x"].values, idata
 
 
@@ -113,7 +103,7 @@ def kill_at(size, folder, function, *arguments):
 def test_killed_five_times(tmp_path):
     function = InProcess()
     model = model_of(function)
-    settings = {"kernel": PopulationIMH}  # all batches are equally large
+    settings = {"kernel": pmf.PopulationIMH}  # all batches are equally large
     expected, _ = sample(model, checkpoint=tmp_path / "whole", **settings)  # also compiles, for the forked
     whole, most = size_of(tmp_path / "whole"), max(map(len, particles_in(tmp_path / "whole")))
     folder, function.path, function.seconds = tmp_path / "killed", tmp_path / "calls", 5e-4
@@ -152,14 +142,14 @@ def test_killed_with_an_external_simulator_and_a_cache(tmp_path):
                 time.sleep(0.02)
             return super().__call__(k)
 
-    settings = {"chains": 1, "kernel": PopulationIMH}
+    settings = {"chains": 1, "kernel": pmf.PopulationIMH}
     function, folder = Held(tmp_path / "calls", seconds=0.001), tmp_path / "checkpoint"
     allowed = tmp_path / "calls-allowed"
     cached = {"executor": 1, "cache": tmp_path / "cache.sqlite", "progress": False}
-    with ExternalSimulator(function, SHAPE, **cached) as simulator:
+    with pmf.ExternalSimulator(function, SHAPE, **cached) as simulator:
         with pm.Model() as model:
             k, sigma = pm.Uniform("x", 0.3, 1.5, shape=1), pm.HalfNormal("sigma", 1.0)
-            TruncNormalFeature("y", simulator(k[0]), sigma, observed=DATA)
+            pmf.TruncNormalFeature("y", simulator(k[0]), sigma, observed=DATA)
         allowed.write_text("80")
         process = multiprocessing.get_context("fork").Process(target=resume, args=(model, folder, settings))
         process.start()
@@ -178,12 +168,12 @@ def test_killed_with_an_external_simulator_and_a_cache(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", [*KERNELS, SubsetSimulation], ids=lambda kernel: kernel.__name__)
+@pytest.mark.parametrize("kernel", [*KERNELS, pmf.SubsetSimulation], ids=lambda kernel: kernel.__name__)
 def test_every_kernel_goes_on(kernel, tmp_path):
     function = InProcess(tmp_path / "calls")
     model = model_of(function)
     settings = {"kernel": kernel, "draws": 60}
-    if kernel is SubsetSimulation:
+    if kernel is pmf.SubsetSimulation:
         settings["stage_draws"] = 60
     expected, whole = sample(model, **settings)
     n = len(calls_in(function.path))
@@ -244,7 +234,7 @@ FOREIGN = {
     "random_seed=.5., chains=1": {"random_seed": 6},
     "chains=1": {"chains": 2},
     "of one with other: .*draws": {"draws": DRAWS + 1},
-    "of one with other: .*kernel": {"kernel": PopulationMH},
+    "of one with other: .*kernel": {"kernel": pmf.PopulationMH},
     "of one with other: stage_draws": {"stage_draws": 240},
     "of one with other: threshold": {"threshold": 0.4},
 }
@@ -293,15 +283,15 @@ def test_another_external_simulator_is_refused(tmp_path):
         return 1.01 * beam(k)
 
     for function in (beam, other):
-        with ExternalSimulator(function, SHAPE, executor=1, progress=False) as simulator:
+        with pmf.ExternalSimulator(function, SHAPE, executor=1, progress=False) as simulator:
             with pm.Model() as model:
                 k = pm.Uniform("x", 0.5, 1.5, shape=1)
-                TruncNormalFeature("y", simulator(k[0]), 0.5, observed=DATA)
+                pmf.TruncNormalFeature("y", simulator(k[0]), 0.5, observed=DATA)
             if function is beam:
-                sample(model, PopulationIMH, checkpoint=tmp_path, chains=1, draws=20)
+                sample(model, pmf.PopulationIMH, checkpoint=tmp_path, chains=1, draws=20)
             else:
                 with pytest.raises(CheckpointError, match="of one with other: model"):
-                    sample(model, PopulationIMH, checkpoint=tmp_path, chains=1, draws=20)
+                    sample(model, pmf.PopulationIMH, checkpoint=tmp_path, chains=1, draws=20)
 
 
 def recorded(path):
@@ -407,7 +397,7 @@ def test_a_checkpoint_in_use(tmp_path):
 def test_models_and_kernels_that_cannot_go_on(tmp_path):
     with pm.Model() as model:
         x = pm.Normal("x", 0.0, 1.0, shape=2)
-        DiscrepancySimulator(
+        pmf.DiscrepancySimulator(
             "y", InProcess(), x, epsilon=0.3, observed=np.ones((2, 2)), noise=0.1, kernel="exponential"
         )
     with pytest.raises(ValueError, match="`checkpoint` must be left out for a model with random draws"):

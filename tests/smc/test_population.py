@@ -4,27 +4,23 @@ import multiprocessing
 import resource
 import sys
 
+import cloudpickle
 import numpy as np
 import pymc as pm
 import pytensor
+import pytensor.tensor as pt
 import pytest
 from pymc.logprob.utils import ParameterValueError
 from pymc.smc.kernels import IMH, MH
+from pytensor.link.basic import PerformLinker
+from pytensor.scalar import Add, Cast, Mul
+from pytensor.tensor.elemwise import Elemwise
 from scipy import stats
 
-from pymc_features import (
-    ModalDamping,
-    PersistentSMC,
-    PopulationIMH,
-    PopulationMH,
-    SpringMassChain,
-    TruncNormalFeature,
-    response,
-    simulate,
-)
-from pymc_features.smc import KERNELS, PopulationLogp
+import pymc_features as pmf
+from pymc_features.smc import KERNELS, PopulationLogp, population_logp
 from pymc_features.smc.density import rows
-from pymc_features.smc.density.evaluation import population_logp
+from pymc_features.smc.density.compilation import has_python_loops, with_mode
 from support.graphs import REWRITTEN
 from support.populations import discrete, points_of, prior_particles
 from support.sampling import SERIAL
@@ -36,11 +32,11 @@ SCALED = {"rtol": 1e-10, "atol": 1e-10}
 
 def chain(theta, n_dof=3):
     """A chain whose springs all have the factor theta."""
-    return SpringMassChain(np.ones(n_dof), 900.0 * theta * np.ones(n_dof), ModalDamping(0.05))
+    return pmf.SpringMassChain(np.ones(n_dof), 900.0 * theta * np.ones(n_dof), pmf.ModalDamping(0.05))
 
 
 def measured(n_dof=3, record=PULSE):
-    return with_noise(simulate(chain(1.0, n_dof), record), 0.3)
+    return with_noise(pmf.simulate(chain(1.0, n_dof), record), 0.3)
 
 
 @pytest.fixture
@@ -79,7 +75,7 @@ def structure():
     with pm.Model() as model:
         theta = pm.Uniform("theta", 0.5, 1.5)
         sigma = pm.Gamma("sigma", 3.0, 6.0)
-        TruncNormalFeature("y", mu=response(chain(theta), PULSE), sigma=sigma, observed=measured())
+        pmf.TruncNormalFeature("y", mu=pmf.response(chain(theta), PULSE), sigma=sigma, observed=measured())
     return model
 
 
@@ -102,7 +98,7 @@ def stages(idata):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("build", "ours", "pymcs"), [(many_variables, PopulationIMH, IMH), (discrete, PopulationMH, MH)]
+    ("build", "ours", "pymcs"), [(many_variables, pmf.PopulationIMH, IMH), (discrete, pmf.PopulationMH, MH)]
 )
 def test_same_particles_as_pymc(build, ours, pymcs):
     """Same seed, same draws and temperatures, whatever the variables are."""
@@ -110,7 +106,7 @@ def test_same_particles_as_pymc(build, ours, pymcs):
     one, other = sample(model, pymcs), sample(model, ours)
     assert_same(one, other, rtol=1e-12, atol=1e-12)
     assert len(stages(one)) > 1
-    rate = "accept_rate" if ours is PopulationIMH else "mean_accept_rate"
+    rate = "accept_rate" if ours is pmf.PopulationIMH else "mean_accept_rate"
     np.testing.assert_allclose(
         np.ravel(other.sample_stats[rate]), np.ravel(one.sample_stats[rate]), rtol=1e-12
     )
@@ -118,13 +114,13 @@ def test_same_particles_as_pymc(build, ours, pymcs):
 
 def test_data_of_another_length_need_no_new_evaluation():
     model = data()
-    before = PopulationIMH(60, model=model).logp
+    before = pmf.PopulationIMH(60, model=model).logp
     for values in ([2.0], np.linspace(0.0, 3.0, 50)):
         with model:
             pm.set_data({"measured": np.array(values)})
-        assert_same(sample(model, IMH), sample(model, PopulationIMH), rtol=1e-12, atol=1e-12)
-        assert PopulationIMH(60, model=model).logp is before
-        assert PersistentSMC(60, model=model).logp is before
+        assert_same(sample(model, IMH), sample(model, pmf.PopulationIMH), rtol=1e-12, atol=1e-12)
+        assert pmf.PopulationIMH(60, model=model).logp is before
+        assert pmf.PersistentSMC(60, model=model).logp is before
 
 
 def test_a_changed_model_is_compiled_anew():
@@ -136,14 +132,14 @@ def test_a_changed_model_is_compiled_anew():
         "free": lambda: pm.Normal("y3"),
     }
     for what, change in changes.items():
-        before = PopulationIMH(60, model=model).logp
+        before = pmf.PopulationIMH(60, model=model).logp
         with model:
             change()
-        assert PopulationIMH(60, model=model).logp is not before, what
+        assert pmf.PopulationIMH(60, model=model).logp is not before, what
     exact = sample(model, IMH)
-    assert_same(exact, sample(model, PopulationIMH), rtol=1e-12, atol=1e-12)
+    assert_same(exact, sample(model, pmf.PopulationIMH), rtol=1e-12, atol=1e-12)
     with pytest.raises(AssertionError):
-        assert_same(exact, sample(model, PopulationIMH, random_seed=6), rtol=1e-3)
+        assert_same(exact, sample(model, pmf.PopulationIMH, random_seed=6), rtol=1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +147,7 @@ def sequential():
     """TN model and its draws with the chains one after the other."""
     with pytensor.config.change_flags(mode="Mode"):
         model = structure()
-        return model, sample(model, PersistentSMC, chains=2)
+        return model, sample(model, pmf.PersistentSMC, chains=2)
 
 
 @pytest.mark.processes
@@ -161,11 +157,11 @@ def test_parallel_chains_give_the_same_draws(sequential, default_mode, mp_ctx):
     if mp_ctx not in multiprocessing.get_all_start_methods():
         pytest.skip(f"no {mp_ctx} on this system")
     model, expected = sequential
-    found = sample(model, PersistentSMC, chains=2, cores=2, mp_ctx=mp_ctx)
+    found = sample(model, pmf.PersistentSMC, chains=2, cores=2, mp_ctx=mp_ctx)
     assert_same(expected, found, rtol=1e-12)
     chains = found.posterior["theta"].values
     assert not np.isclose(chains[0], chains[1]).any()
-    assert_same(found, sample(model, PersistentSMC, chains=2), rtol=1e-12)
+    assert_same(found, sample(model, pmf.PersistentSMC, chains=2), rtol=1e-12)
 
 
 def one_by_one(model, particles):
@@ -203,7 +199,7 @@ def test_failed_simulations_are_counted():
     """Springs that a draw makes negative; in the statistics of a run, too."""
     with pm.Model() as model:
         theta = pm.Normal("theta")
-        TruncNormalFeature("y", mu=response(chain(theta), PULSE), sigma=1.0, observed=measured())
+        pmf.TruncNormalFeature("y", mu=pmf.response(chain(theta), PULSE), sigma=1.0, observed=measured())
     particles = prior_particles(model)
     possible, failed = compare(model, particles)
     np.testing.assert_array_equal(failed, particles[:, 0] <= 0)
@@ -262,7 +258,7 @@ def test_memory_does_not_grow_with_histories(likelihood, fused):
     y = measured(record=LONG)
     histories = 8 * N_PARTICLES * y.size
     with pm.Model() as model:
-        likelihood(response(chain(pm.Uniform("theta", 0.5, 1.5)), LONG), y)
+        likelihood(pmf.response(chain(pm.Uniform("theta", 0.5, 1.5)), LONG), y)
     with pytensor.config.change_flags(mode="Mode"):
         logp = population_logp(model, model.initial_point(), {})
     particles = prior_particles(model, n=N_PARTICLES)
@@ -285,7 +281,7 @@ def test_memory_does_not_grow_with_histories(likelihood, fused):
 def normal(mean=lambda mu: mu, sigma=lambda: 0.4):
     with pm.Model() as model:
         theta = pm.Normal("theta", 1.0, 0.3)
-        pm.Normal("y", mu=mean(response(chain(theta), PULSE)), sigma=sigma(), observed=measured())
+        pm.Normal("y", mu=mean(pmf.response(chain(theta), PULSE)), sigma=sigma(), observed=measured())
     return model
 
 
@@ -303,7 +299,7 @@ def test_normal_of_a_response_needs_no_history(values):
     model = normal(sigma=lambda: values if known else pm.HalfNormal("sigma", 1.0, shape=(3, 1)))
     point = {"theta": 1.1} if known else {"theta": 1.1, "sigma_log__": np.log(values)}
     assert not holds_a_history(model)
-    mu = simulate(chain(1.1), PULSE).values
+    mu = pmf.simulate(chain(1.1), PULSE).values
     exact = stats.norm.logpdf(measured(), mu, values).sum()
     for mode in (REWRITTEN,) if known else (REWRITTEN, "NUMBA"):
         datalogp = model.compile_fn(model.datalogp, mode=mode)
@@ -331,7 +327,7 @@ def test_other_normals_are_left_alone(mean, sigma):
     """Not a function of e_j: the history stays, and the numbers are right."""
     model = normal(mean, sigma)
     assert holds_a_history(model)
-    exact = stats.norm.logpdf(measured(), mean(simulate(chain(1.1), PULSE).values), sigma()).sum()
+    exact = stats.norm.logpdf(measured(), mean(pmf.simulate(chain(1.1), PULSE).values), sigma()).sum()
     assert float(model.compile_fn(model.datalogp)({"theta": 1.1})) == pytest.approx(exact, rel=1e-10)
     compare(model, prior_particles(model, spread=0.1))
 
@@ -343,8 +339,8 @@ def test_one_call_for_each_record(shared):
     records = [noise_record(n, dt, seed=n) for n, dt in ((150, 0.02), (200, 0.01), (100, 0.04))]
 
     def likelihood(i, theta, sigma):
-        mu = response(chain(theta), records[i])
-        TruncNormalFeature(f"y{i}", mu=mu, sigma=sigma, observed=measured(record=records[i]))
+        mu = pmf.response(chain(theta), records[i])
+        pmf.TruncNormalFeature(f"y{i}", mu=mu, sigma=sigma, observed=measured(record=records[i]))
 
     with pm.Model() as joint:
         sigma, mean = pm.HalfNormal("sigma", 1.0), pm.Normal("mean", 1.0, 0.1)
@@ -363,3 +359,53 @@ def test_one_call_for_each_record(shared):
         columns = points[:, [1 if shared else 2 + i, 0]]
         alone += population_logp(one, one.initial_point(), {})(columns)[1]
     np.testing.assert_allclose(logp(points)[1], alone, rtol=1e-10)
+
+
+RECORD = pmf.synthetic_earthquake(2.0, 0.02, random_seed=1)
+
+
+def declare():
+    with pm.Model() as model:
+        theta = pm.Uniform("theta", 0.5, 1.5)
+        chain = pmf.SpringMassChain([1.0, 1.0], 400.0 * theta, pmf.ModalDamping(0.02))
+        pmf.ExpFeature("y", pmf.response(chain, RECORD), pm.HalfNormal("sigma"), observed=np.ones((2, 101)))
+    return model
+
+
+@pytest.mark.default_mode
+def test_a_new_model_needs_no_compilation_and_python_is_called_for_no_single_number():
+    """NumPy or SciPy has a function for every operation on arrays, those of bounded priors included."""
+    model = declare()
+    logp = population_logp(model, model.initial_point(), {})
+    assert isinstance(logp.function.maker.linker, PerformLinker)
+    logp.compile_gradient()
+    for function in (logp.values.function, logp.slopes.function):
+        operations = [node.op for node in function.maker.fgraph.toposort() if isinstance(node.op, Elemwise)]
+        folded = (Add, Mul, Cast)  # by PyTensor itself
+        alone = [op for op in operations if not (op.nfunc_spec or isinstance(op.scalar_op, folded))]
+        assert operations and not alone
+    assert cloudpickle.dumps(logp.slopes), "processes of chains take it"
+    x = np.array([[-1.0, 0.2], [-40.0, 0.2], [0.3, -1.0], [20.0, 0.2], [40.0, 0.2]])
+    uniform = -np.logaddexp(0.0, x[:, 0]) - np.logaddexp(0.0, -x[:, 0])  # with its logit's derivative
+    half_normal = 0.5 * np.log(2.0 / np.pi) - 0.5 * np.exp(2.0 * x[:, 1]) + x[:, 1]
+    np.testing.assert_allclose(logp(x)[0], uniform + half_normal, rtol=1e-13)
+
+
+@pytest.mark.default_mode
+def test_what_the_user_asks_for_comes_first():
+    assert with_mode({"mode": "NUMBA"}, []) == {"mode": "NUMBA"}
+    with pytensor.config.change_flags(mode="NUMBA"):
+        assert with_mode({}, []) == {}
+
+
+@pytest.mark.default_mode
+@pytest.mark.parametrize(
+    ("loops", "declared"),
+    [
+        (False, lambda x: pt.vectorize(lambda row: pt.dot(np.eye(3), row), signature="(a)->(b)")(x)),
+        (True, lambda x: pt.vectorize(lambda row: pt.linalg.expm(pt.diag(row)), signature="(a)->(b,b)")(x)),
+        (True, lambda x: pytensor.scan(lambda row, sum: sum + row, x, pt.zeros(3), return_updates=False)),
+    ],
+)
+def test_loops_in_python_are_seen(loops, declared):
+    assert has_python_loops([declared(pt.matrix("x"))]) == loops

@@ -15,15 +15,7 @@ from pytensor.graph.basic import Apply
 from pytensor.graph.op import Op
 from pytensor.graph.replace import _vectorize_node
 
-from pymc_features import (
-    CorrelatedNormal,
-    DiscrepancySimulator,
-    ExpFeature,
-    ExternalSimulator,
-    PopulationIMH,
-    TruncNormalFeature,
-    response,
-)
+import pymc_features as pmf
 from pymc_features.exceptions import NotDifferentiableError, PopulationWarning
 from pymc_features.ops import PopulationGradient, StructuralResponse
 from pymc_features.smc import KERNELS, population_logp
@@ -63,11 +55,11 @@ def nothing_but_a_prior():
 
 ANY_MODEL = (potential, two_nodes, transforms, nothing_but_a_prior)
 LIKELIHOODS = {
-    "TN": lambda mu, sigma, y: TruncNormalFeature("y", mu, sigma, observed=y),
-    "EXP": lambda mu, sigma, y: ExpFeature("y", mu, sigma, observed=y),
+    "TN": lambda mu, sigma, y: pmf.TruncNormalFeature("y", mu, sigma, observed=y),
+    "EXP": lambda mu, sigma, y: pmf.ExpFeature("y", mu, sigma, observed=y),
     "normal": lambda mu, sigma, y: pm.Normal("y", mu, sigma, observed=y),
-    "correlated": lambda mu, sigma, y: CorrelatedNormal("y", mu, sigma, 0.2, 0.05, observed=y),
-    "soft ABC": lambda mu, sigma, y: DiscrepancySimulator(
+    "correlated": lambda mu, sigma, y: pmf.CorrelatedNormal("y", mu, sigma, 0.2, 0.05, observed=y),
+    "soft ABC": lambda mu, sigma, y: pmf.DiscrepancySimulator(
         "y", mu, epsilon=9.0, observed=y, kernel="gaussian"
     ),
     "of a changed response": lambda mu, sigma, y: pm.Normal("y", 1.1 * mu, sigma, observed=y),
@@ -79,7 +71,7 @@ def structural(name, likelihood="TN"):
     """Two factors of the stiffness, of any sign, and sigma unknown."""
     build, record = CASES[name]
     with pm.Model() as model:
-        mu = response(build(pm.Normal("x", 1.0, 0.1, shape=2)), record)
+        mu = pmf.response(build(pm.Normal("x", 1.0, 0.1, shape=2)), record)
         LIKELIHOODS[likelihood](mu, pm.HalfNormal("sigma", 1.0), measured(name))
     return model
 
@@ -238,9 +230,9 @@ def stock_simulator():
 def threshold(noise=None, kernel="uniform"):
     build, record = CASES["chain"]
     with pm.Model() as model:
-        mu = response(build(pm.LogNormal("x", shape=2)), record)
+        mu = pmf.response(build(pm.LogNormal("x", shape=2)), record)
         data = measured("chain")
-        DiscrepancySimulator("y", mu, epsilon=1.0, observed=data, kernel=kernel, noise=noise)
+        pmf.DiscrepancySimulator("y", mu, epsilon=1.0, observed=data, kernel=kernel, noise=noise)
     return model
 
 
@@ -296,8 +288,8 @@ def test_models_without_a_gradient_say_why(reason):
 def test_external_programs():
     """With the user's gradient particle by particle; without one there is none."""
     with (
-        ExternalSimulator(functions.beam, functions.SHAPE, executor=1, progress=False) as rough,
-        ExternalSimulator(
+        pmf.ExternalSimulator(functions.beam, functions.SHAPE, executor=1, progress=False) as rough,
+        pmf.ExternalSimulator(
             functions.beam, functions.SHAPE, executor=1, progress=False, gradient=functions.beam_gradient
         ) as smooth,
     ):
@@ -305,7 +297,7 @@ def test_external_programs():
         for simulator in (rough, smooth):
             with pm.Model() as model:
                 mu = simulator(pm.Uniform("k", 0.5, 1.5))
-                TruncNormalFeature("y", mu, pm.HalfNormal("s"), observed=functions.DATA)
+                pmf.TruncNormalFeature("y", mu, pm.HalfNormal("s"), observed=functions.DATA)
             models.append(model)
         assert evaluation_of(models[0]).why_no_gradient == "an external simulator without `gradient` has none"
         logp = compare_gradients(models[1], prior_particles(models[1], n=4))
@@ -348,7 +340,7 @@ def test_a_forked_process_does_not_compile():
 
 def kernel_in(folder, model):
     """A kernel about to begin a chain, with a journal."""
-    kernel = PopulationIMH(8, model=model, random_seed=1, checkpoint=folder)
+    kernel = pmf.PopulationIMH(8, model=model, random_seed=1, checkpoint=folder)
     kernel._reset_state()
     kernel.set_rng(np.random.default_rng(1))
     return kernel

@@ -202,12 +202,12 @@ def test_narrow_posterior():
     assert abs(result.evidence - exact) < 4.0 * result.se
     betas = [stage["beta"] for stage in result.stages]
     assert betas[0] < 1e-7, "far below an absolute step of 1e-6"
+    assert len(betas) < 4 + 2.5 * 5, "stages grow with the logarithm of the ratio of prior to posterior"
     assert (np.diff(betas) > 0).all()
     assert run_chain(PopulationIMH, model).stages[-1]["accept_rate"] < 0.1
 
 
-@pytest.mark.parametrize("kernel", [PersistentSMC, TMCMC])
-def test_temperatures_follow_any_scale(kernel, scale=1e-7):
+def test_temperatures_follow_any_scale(kernel=TMCMC, scale=1e-7):
     """Stages grow with the logarithm of the ratio of prior to posterior, and every seed arrives.
 
     The mean log evidence is within four standard errors over seeds: a false alarm in 190.

@@ -16,19 +16,7 @@ import pytensor.tensor as pt
 import pytest
 from scipy import sparse
 
-from pymc_features import (
-    AffineStructure,
-    DiscrepancySimulator,
-    ExpFeature,
-    ExternalSimulator,
-    ModalDamping,
-    SpringMassChain,
-    SubsetSimulation,
-    TruncNormalFeature,
-    response,
-    sample,
-    sample_smc,
-)
+import pymc_features as pmf
 from pymc_features.exceptions import NoWorkersError
 from pymc_features.external.workers import calls
 from pymc_features.simulators.linear.known import KNOWN
@@ -58,12 +46,12 @@ def eager(monkeypatch):
     monkeypatch.setattr(workers_module.Spread, "some_are_ready", lambda self, work: True)
 
 
-def model_of(name, likelihood=ExpFeature):
+def model_of(name, likelihood=pmf.ExpFeature):
     """A structure of two factors, some of which are no structure, and the scale of the errors."""
     build, record = CASES[name]
     with pm.Model() as model:
         x, sigma = pm.Normal("x", 1.0, 0.5, shape=2), pm.HalfNormal("sigma", 1.0)
-        likelihood("y", mu=response(build(x), record), sigma=sigma, observed=measured(name))
+        likelihood("y", mu=pmf.response(build(x), record), sigma=sigma, observed=measured(name))
     return model
 
 
@@ -72,17 +60,22 @@ def two_nodes():
     basis = np.random.default_rng(5).standard_normal((3, 2))
     with pm.Model() as model:
         x = pm.Normal("x", shape=2)
-        structure = SpringMassChain(np.ones(3), 120.0 * pt.exp(0.1 * pt.dot(basis, x)), RAYLEIGH)
-        acceleration = response(structure, pulse())
-        ExpFeature("y", mu=acceleration, sigma=1.0, observed=measured("chain"))
-        TruncNormalFeature("z", mu=acceleration, sigma=2.0, observed=pm.Data("data", measured("chain")))
+        structure = pmf.SpringMassChain(np.ones(3), 120.0 * pt.exp(0.1 * pt.dot(basis, x)), RAYLEIGH)
+        acceleration = pmf.response(structure, pulse())
+        pmf.ExpFeature("y", mu=acceleration, sigma=1.0, observed=measured("chain"))
+        pmf.TruncNormalFeature("z", mu=acceleration, sigma=2.0, observed=pm.Data("data", measured("chain")))
     return model
 
 
 def same(found, expected):
     """Whether all draws are the same, bit for bit."""
     names = list(expected.posterior.data_vars)
-    return all(np.array_equal(found.posterior[n].values, expected.posterior[n].values) for n in names)
+    return equal(*([result.posterior[n].values for n in names] for result in (found, expected)))
+
+
+def equal(found, expected):
+    """Whether all arrays are the same, bit for bit."""
+    return all(np.array_equal(one, other) for one, other in zip(found, expected, strict=True))
 
 
 @pytest.mark.slow
@@ -97,8 +90,7 @@ def test_rows_do_not_depend_on_where_a_population_is_cut(name):
     assert logp.values.unit == UNIT and 0 < np.isfinite(whole[1]).sum() < len(particles)
     cuts = [0, UNIT, 4 * UNIT, len(particles)]
     parts = [logp(particles[i:k]) for i, k in zip(cuts, cuts[1:], strict=False)]
-    for found, expected in zip(map(np.concatenate, zip(*parts, strict=True)), whole, strict=True):
-        np.testing.assert_array_equal(found, expected)
+    assert equal(map(np.concatenate, zip(*parts, strict=True)), whole)
     if name == "hysteretic":
         assert PARTICLES["taylor"] > before
         shifted = logp(particles[1:])[1]  # other neighbours, other steps
@@ -115,18 +107,18 @@ def large_sparse():
     springs = sparse.kron(along, sparse.eye_array(15)) + 2.3 * sparse.kron(sparse.eye_array(20), across)
     bedding = sparse.diags_array(np.linspace(0, 1, 300))
     terms = [1e4 * sparse.csc_array(springs), 1e3 * sparse.csc_array(bedding)]
-    plane = AffineStructure(
+    plane = pmf.AffineStructure(
         np.ones(300),
         stiffness=sparse.csc_array((300, 300)),
-        damping=ModalDamping(0.02),
+        damping=pmf.ModalDamping(0.02),
         stiffness_terms=terms,
         theta=np.ones(2),
     )
     data = RNG.normal(size=(2, len(pulse().acceleration)))
     with pm.Model() as model:
         x = pm.LogNormal("x", 0.0, 0.2, shape=2)
-        mu = response(plane.with_parameters(x), pulse(), sensors=[5, 200], n_modes=4)
-        ExpFeature("y", mu=mu, sigma=1.0, observed=data)
+        mu = pmf.response(plane.with_parameters(x), pulse(), sensors=[5, 200], n_modes=4)
+        pmf.ExpFeature("y", mu=mu, sigma=1.0, observed=data)
     return model
 
 
@@ -145,9 +137,7 @@ def test_large_structures_share_a_basis(eager):
     with open_workers(1) as workers:
         elsewhere = workers.run().of(logp)
         answers = logp(particles[:UNIT]), elsewhere(particles), elsewhere.gradient(particles)
-    for found, expected in zip(answers, ([x[:UNIT] for x in values], values, slopes), strict=True):
-        for one, other in zip(found, expected, strict=True):
-            np.testing.assert_array_equal(one, other)
+    assert all(map(equal, answers, ([x[:UNIT] for x in values], values, slopes)))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(KNOWN, "of", lambda *given, **settings: None)
         in_full = logp.gradient(particles)
@@ -173,11 +163,11 @@ class Here(ThreadPoolExecutor):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("run", [sample_smc, sample], ids=["sample_smc", "sample"])
+@pytest.mark.parametrize("run", [pmf.sample_smc, pmf.sample], ids=["sample_smc", "sample"])
 def test_the_particles_of_one_process(run, eager):
     """Two chains at once, with gradients (`sample`), a product of matrices, two likelihoods, and data."""
     settings = {"model": two_nodes(), "chains": 2, "random_seed": 1, **QUIET}
-    settings |= {"stage_draws": 60} if run is sample_smc else {}
+    settings |= {"stage_draws": 60} if run is pmf.sample_smc else {}
     expected = run(60, cores=1, **settings)
     with ThreadPoolExecutor(1) as pool:  # one process, as two have no more to say here
         found = run(60, executor=pool, **settings)
@@ -194,29 +184,27 @@ def test_local_processes_dask_and_a_killed_worker(eager, tmp_path):
     logp = population_logp(model, model.initial_point(), {})
     particles = RNG.normal(1.0, 0.3, (400, 3))
     expected = logp(particles)
-    with open_workers(1) as workers:
-        own = workers.run().of(logp)
-        for found, wanted in zip(own(particles), expected, strict=True):
-            np.testing.assert_array_equal(found, wanted)
-        [victim] = (p.process.pid for p in calls._IDLE[workers.owner])
-        timer = threading.Timer(0.01, os.kill, (victim, signal.SIGKILL))
-        timer.start()
-        for _ in range(5):
-            for found, wanted in zip(own(particles), expected, strict=True):
-                np.testing.assert_array_equal(found, wanted)
-        timer.join()
-        now = [p.process.pid for p in calls._IDLE[workers.owner]]
-        assert now and victim not in now
-        begun = time.monotonic()
-    assert not any(map(lives, now)) and time.monotonic() - begun < 30.0
     settings = {"model": model, "chains": 1, "random_seed": 3, "stage_draws": 60, **QUIET}
-    expected = sample_smc(60, cores=1, checkpoint=tmp_path / "kept", **settings)
+    whole = pmf.sample_smc(60, cores=1, checkpoint=tmp_path / "kept", **settings)
     [journal] = (tmp_path / "kept").glob("*.journal")
     journal.write_bytes(journal.read_bytes()[: journal.stat().st_size // 2])  # as if it had been killed
     quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL, "local_directory": str(tmp_path)}
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, **quiet) as cluster:
-        address = cluster.scheduler_address
-        assert same(sample_smc(60, checkpoint=tmp_path / "kept", executor=address, **settings), expected)
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, **quiet) as cluster,
+        open_workers(cluster.scheduler_address) as workers,
+    ):
+        own = workers.run().of(logp)
+        assert equal(own(particles), expected)
+        [victim] = (p.process.pid for p in calls._IDLE[workers.owner])
+        timer = threading.Timer(0.01, os.kill, (victim, signal.SIGKILL))
+        timer.start()
+        assert all(equal(own(particles), expected) for _ in range(5))
+        timer.join()
+        now = [p.process.pid for p in calls._IDLE[workers.owner]]
+        assert now and victim not in now
+        assert same(pmf.sample_smc(60, checkpoint=tmp_path / "kept", executor=workers, **settings), whole)
+        begun = time.monotonic()
+    assert not any(map(lives, now)) and time.monotonic() - begun < 30.0
 
 
 @pytest.fixture
@@ -242,19 +230,22 @@ def test_ctrl_c_ends_the_processes_and_loses_nothing(eager, usual_ctrl_c, monkey
         return found
 
     settings = {"model": model_of("chain"), "chains": 2, "random_seed": 4, "stage_draws": 60, **QUIET}
-    expected = sample_smc(60, cores=1, **settings)
+    expected = pmf.sample_smc(60, cores=1, **settings)
     with monkeypatch.context() as patch:
         patch.setattr(workers_module.Spread, "elsewhere", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            sample_smc(60, executor=1, checkpoint=tmp_path / "kept", **settings)
+            pmf.sample_smc(60, executor=1, checkpoint=tmp_path / "kept", **settings)
     assert pids and not any(map(lives, pids))
-    found = sample_smc(60, cores=1, checkpoint=tmp_path / "kept", **settings)
+    found = pmf.sample_smc(60, cores=1, checkpoint=tmp_path / "kept", **settings)
     assert same(found, expected)
     assert sum(j.stat().st_size for j in (tmp_path / "kept").glob("*.journal")) > 0
 
 
 def test_a_model_is_sent_where_it_is_missing_and_parts_again_that_are_lost(eager, monkeypatch):
-    """By an executor of the user's, that does not bring it; nothing of the package runs in processes here."""
+    """By an executor of the user's, that does not bring it; nothing of the package runs in processes here.
+
+    A part on which two processes die is evaluated all the same; one on which all do is an error.
+    """
     monkeypatch.setattr(calls, "SimulatorProcess", InThisProcess)
     model = model_of("chain")
     logp = population_logp(model, model.initial_point(), {})
@@ -271,6 +262,11 @@ def test_a_model_is_sent_where_it_is_missing_and_parts_again_that_are_lost(eager
         calls._PAYLOADS.clear()  # a new machine in place of an old one
         np.testing.assert_array_equal(own(particles)[1], logp(particles)[1])
         assert len([p for p in pool.payloads if p is not None]) > n_sent
+        monkeypatch.setattr(InThisProcess, "dies", 2)
+        np.testing.assert_array_equal(own(particles)[1], logp(particles)[1])
+        monkeypatch.setattr(InThisProcess, "dies", 1000)
+        with pytest.raises(NoWorkersError, match="`executor` must have workers that live, got 3 that died"):
+            own(particles)
 
 
 class InThisProcess:
@@ -306,23 +302,9 @@ def calls_of(payload):
     return cloudpickle.loads(payload)["function"]
 
 
-def test_a_part_on_which_processes_die(eager, monkeypatch):
-    monkeypatch.setattr(calls, "SimulatorProcess", InThisProcess)
-    model = model_of("chain")
-    logp = population_logp(model, model.initial_point(), {})
-    particles = RNG.normal(1.0, 0.3, (32, 3))
-    with Here() as pool, open_workers(pool) as workers:
-        own = workers.run().of(logp)
-        monkeypatch.setattr(InThisProcess, "dies", 2)
-        np.testing.assert_array_equal(own(particles)[1], logp(particles)[1])
-        monkeypatch.setattr(InThisProcess, "dies", 1000)
-        with pytest.raises(NoWorkersError, match="`executor` must have workers that live, got 3 that died"):
-            own(particles)
-
-
 def test_values_that_are_no_executor():
     for executor in (0, 1.5, True, "", [2], ThreadPoolExecutor):
-        for run in (sample_smc, sample):
+        for run in (pmf.sample_smc, pmf.sample):
             with pytest.raises(TypeError, match="`executor` must be something that runs simulations, got"):
                 run(100, model=model_of("chain"), executor=executor)
 
@@ -330,14 +312,14 @@ def test_values_that_are_no_executor():
 def test_models_and_kernels_that_take_no_executor():
     settings = {"model": model_of("chain"), "executor": 2, **QUIET}
     with pytest.raises(TypeError, match="`executor` must be left out for MH, which has none"):
-        sample_smc(100, pm.smc.MH, **settings)
-    with ExternalSimulator(beam, SHAPE, executor=1, progress=False) as simulator, pm.Model() as external:
-        ExpFeature("y", simulator(pm.Uniform("k", 0.5, 1.5)), 1.0, observed=DATA)
+        pmf.sample_smc(100, pm.smc.MH, **settings)
+    with pmf.ExternalSimulator(beam, SHAPE, executor=1, progress=False) as simulator, pm.Model() as external:
+        pmf.ExpFeature("y", simulator(pm.Uniform("k", 0.5, 1.5)), 1.0, observed=DATA)
     with pytest.raises(ValueError, match="`executor` must be left out for a model with an ExternalSimulator"):
-        sample_smc(100, **settings | {"model": external})
+        pmf.sample_smc(100, **settings | {"model": external})
     build, record = CASES["chain"]
     with pm.Model() as noisy:
-        mu = response(build(pm.Normal("x", 1.0, 0.3, shape=2)), record)
-        DiscrepancySimulator("y", mu, epsilon=30.0, observed=measured("chain"), noise=0.1)
+        mu = pmf.response(build(pm.Normal("x", 1.0, 0.3, shape=2)), record)
+        pmf.DiscrepancySimulator("y", mu, epsilon=30.0, observed=measured("chain"), noise=0.1)
     with pytest.raises(ValueError, match="`executor` must be left out for a model with random draws inside"):
-        sample_smc(100, SubsetSimulation, **settings | {"model": noisy})
+        pmf.sample_smc(100, pmf.SubsetSimulation, **settings | {"model": noisy})
