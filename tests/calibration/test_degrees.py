@@ -5,7 +5,6 @@ import pymc as pm
 import pytensor.tensor as pt
 import pytest
 
-from calibration.test_sandwich import first_order
 from pymc_features import ExpFeature, GammaFeature, effective_samples, fill_degrees, sample, sample_smc
 from pymc_features.exceptions import CalibrationWarning, FeatureLikelihoodWarning
 
@@ -32,33 +31,23 @@ def declare(model, design, errors):
 
 
 @pytest.mark.slow
-def test_mean_of_a_process_of_first_order(model):
-    """m = N (1 - phi) / (1 + phi), a quarter of the samples; each sensor's scatters by some 15 %."""
-    phi = 0.6
-    errors = first_order(np.random.default_rng(3), (N_SENSORS, N_TIMES), phi)
-    found = fill_degrees(declare(model, CONSTANT, errors), random_seed=1)
-    m = model["y_m"].get_value()
-    np.testing.assert_array_equal(m, found["n_eff"])
-    assert m.mean() == pytest.approx(N_TIMES * (1 - phi) / (1 + phi), rel=0.15)
-    assert m.max() < 0.5 * N_TIMES
-    again = effective_samples(model, random_seed=2)  # claims m, and supports it
-    np.testing.assert_allclose(again["claimed"], m)
-    np.testing.assert_allclose(again["n_eff"], m, rtol=1e-3)
-
-
-@pytest.mark.slow
 def test_white_noise_gives_the_conventional_likelihood(model):
     """m is about the number of samples (15 % in each sensor), the posterior of a, by quadrature, NORM's."""
     errors = 0.5 * np.random.default_rng(4).standard_normal((N_SENSORS, N_TIMES))
-    fill_degrees(declare(model, WAVES, errors), random_seed=1)
-    assert model["y_m"].get_value().mean() == pytest.approx(N_TIMES, rel=0.1)
+    found = fill_degrees(declare(model, WAVES, errors), random_seed=1)
+    m = model["y_m"].get_value()
+    np.testing.assert_array_equal(m, found["n_eff"])
+    assert m.mean() == pytest.approx(N_TIMES, rel=0.1)
+    again = effective_samples(model, random_seed=2)  # claims m, and supports it
+    np.testing.assert_allclose(again["claimed"], m)
+    np.testing.assert_allclose(again["n_eff"], m, rtol=1e-3)
     logp = model.compile_logp(jacobian=True, mode="FAST_COMPILE")
     power = np.sum(WAVES**2)
     a_hat = 1.0 + np.sum(errors * WAVES) / power
     s_min = np.sum((errors - (a_hat - 1.0) * WAVES) ** 2)
     width = np.sqrt(s_min / (power * N_SENSORS * N_TIMES))  # of Student's t with so many degrees: normal
     a = a_hat + width * np.linspace(-4.0, 4.0, 33)
-    centre = 0.5 * np.log(s_min / N_TIMES / model["y_m"].get_value().sum())
+    centre = 0.5 * np.log(s_min / N_TIMES / m.sum())
     log_sigma = centre + np.linspace(-0.05, 0.05, 33)
     density = np.array([[logp({"a": x, "sigma_log__": s}) for s in log_sigma] for x in a])
     weight = np.exp(density - density.max()).sum(axis=1)

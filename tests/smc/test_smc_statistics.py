@@ -273,21 +273,6 @@ def test_two_modes_keep_their_shares():
     assert mean_within_errors([r.evidence - np.log(2 * np.pi * 0.2**2 / 100) for r in runs])
 
 
-@pytest.mark.parametrize("kernel", [PersistentSMC, TMCMC, PopulationMH])
-def test_a_discrete_variable_alone(kernel):
-    """Two values only: probability and evidence within four standard errors over seeds.
-
-    Not for PyMC's independent proposals: starting from integers on a real line, they are 0.02 off.
-    """
-    with pm.Model() as model:
-        k = pm.Bernoulli("k", 0.3)
-        pm.Normal("y", k, 0.5, observed=1.0)
-    joint = np.array([0.7, 0.3]) * stats.norm.pdf(1.0, [0.0, 1.0], 0.5)
-    runs = [run_chain(kernel, model, 500, seed) for seed in SEEDS]
-    assert mean_within_errors([np.round(r.draws).mean() - joint[1] / joint.sum() for r in runs])
-    assert mean_within_errors([r.evidence - np.log(joint.sum()) for r in runs])
-
-
 def test_an_initial_value_is_no_prior():
     """PyMC starts all particles at an `initval`: taken for draws from the prior, they give any result.
 
