@@ -29,12 +29,6 @@ def idata():
     return xr.DataTree.from_dict({"posterior": xr.Dataset(chains), "prior": xr.Dataset(prior)})
 
 
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
-
-
 def entries(idata):
     """Draws (chain, draw) of each entry, in the order of the panels."""
     posterior = idata["posterior"]

@@ -29,12 +29,6 @@ def measured():
     return ModalData(frequencies[:2], -7.0 * shapes[:2, CHANNELS], ["low", "roof"])
 
 
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
-
-
 def test_mac_matrix(measured, draws):
     frequencies, shapes = draws
     at = shapes[..., CHANNELS]
@@ -112,17 +106,13 @@ def test_partners_are_those_of_the_largest_mac(measured, draws):
     assert [ax.get_title().split("\n")[1] for ax in axes] == ["model f3"] * 2
 
 
-def nodes_of_a_mast():
-    """Two floors that move along x and y above a base, and a second row of the same places."""
-    coordinates = [[0, 0, 0], [0, 0, 4], [0, 0, 10], [0, 0, 4], [0, 0, 10]]
-    directions = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [0, 1, 0]]
-    return {"coordinates": coordinates, "directions": directions, "lines": [[0, 1, 2]]}
-
-
 def test_shapes_in_space():
+    """Two floors that move along x and y above a base, and a second row of the same places."""
+    mast = {"coordinates": [[0, 0, 0], [0, 0, 4], [0, 0, 10], [0, 0, 4], [0, 0, 10]], "lines": [[0, 1, 2]]}
+    mast["directions"] = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [0, 1, 0]]
     modes = ModalData([1.0], [[0.5, 1.0]], ["first", "top"])
     shapes = [[0.7, 0.5, 1.0, 0.0, 0.2], [0.0, 0.0, 0.0, 0.6, 1.0]]
-    [ax] = plots.plot_mode_shapes(modes, shapes, sensors=[1, 2], nodes=nodes_of_a_mast())
+    [ax] = plots.plot_mode_shapes(modes, shapes, sensors=[1, 2], nodes=mast)
     lines = {line.get_label(): line.get_xydata() for line in ax.lines}
     step, oblique = 0.15 * 10.0, 0.45 * np.array([np.cos(0.6), np.sin(0.6)])
     moved = step * np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
@@ -145,30 +135,30 @@ def test_plane_of_a_bridge(draws):
 
 def test_figures_of_modes_refuse_what_does_not_fit(measured, draws):
     _, shapes = draws
-    with pytest.raises(ValueError, match="`measured` must be a ModalData with shapes, got frequencies alone"):
-        plots.plot_mac(ModalData([1.0]), np.eye(2))
-    with pytest.raises(ValueError, match=r"`shapes` must be \(..., mode, channel\) with the 2 channels"):
-        plots.plot_mac(measured, shapes)
-    with pytest.raises(ValueError, match="`sensors` must be given for 2 channels and 3 columns of `shapes`"):
-        plots.plot_mode_shapes(measured, shapes)
-    with pytest.raises(ValueError, match="`sensors` must be 2 whole numbers from 0 to 2, got"):
-        plots.plot_mode_shapes(measured, shapes, sensors=[0, 3])
-    with pytest.raises(ValueError, match="`partners` must be 2 whole numbers from 0 to 2"):
-        plots.plot_mac(measured, shapes[..., CHANNELS], partners=[0])
-    with pytest.raises(ValueError, match=r"`frequencies` must be \(2, 20, 3\) positive numbers in Hz"):
-        plots.plot_mac(measured, shapes[..., CHANNELS], [1.0, 2.0])
-    with pytest.raises(ValueError, match="`shapes` must be finite in some draw"):
-        plots.plot_mac(measured, np.full((2, 2), np.nan))
+    mac_of, shapes_of, at = plots.plot_mac, plots.plot_mode_shapes, {"sensors": CHANNELS}
+    three = np.zeros((3, 3))
+    for figure, given, settings, words in (
+        (mac_of, (ModalData([1.0]), np.eye(2)), {}, "`measured` must be a ModalData with shapes, got freq"),
+        (mac_of, (measured, shapes), {}, r"`shapes` must be \(..., mode, channel\) with the 2 channels"),
+        (mac_of, (measured, np.full((2, 2), np.nan)), {}, "`shapes` must be finite in some draw"),
+        (mac_of, (measured, shapes[..., CHANNELS]), {"partners": [0]}, "`partners` must be 2 whole numbers"),
+        (
+            mac_of,
+            (measured, shapes[..., CHANNELS], [1.0, 2.0]),
+            {},
+            r"`frequencies` must be \(2, 20, 3\) pos",
+        ),
+        (shapes_of, (measured, shapes), {}, "`sensors` must be given for 2 channels and 3 columns"),
+        (shapes_of, (measured, shapes), {"sensors": [0, 3]}, "`sensors` must be 2 whole numbers from 0 to 2"),
+        (shapes_of, (measured, shapes), at | {"axes": plt.gca()}, "`axes` must be one for each of 2 ident"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            figure(*given, **settings)
     for nodes, words in (
         ({"coordinates": [[0.0, 0.0]]}, "with 3 rows of 2 or 3 finite coordinates"),
-        (
-            {"coordinates": np.zeros((3, 3)), "lines": [[0, 3]]},
-            "with lines that are lists of rows from 0 to 2",
-        ),
-        ({"coordinates": np.zeros((3, 3)), "joints": 1}, "a mapping of coordinates, directions, lines"),
+        ({"coordinates": three, "lines": [[0, 3]]}, "with lines that are lists of rows from 0 to 2"),
+        ({"coordinates": three, "joints": 1}, "a mapping of coordinates, directions, lines"),
         ({"lines": [[0, 1]]}, "a mapping of coordinates, directions, lines"),
     ):
         with pytest.raises(ValueError, match=f"`nodes` must be {words}"):
             plots.plot_mode_shapes(measured, shapes, sensors=CHANNELS, nodes=nodes)
-    with pytest.raises(ValueError, match="`axes` must be one for each of 2 identified modes, got 1"):
-        plots.plot_mode_shapes(measured, shapes, sensors=CHANNELS, axes=plt.gca())
