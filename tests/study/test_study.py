@@ -45,9 +45,10 @@ def command(request, beginning, tmp_path_factory):
     record = *("--record", str(path)), "--record-dt", "0.02"
     words = ["reproduce", "--structure", name, "--quick", *record, "--cores", "1", "--out", str(out)]
     entry = dataclasses.replace(STRUCTURES[name], quick=QUICK[name])
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(said):
+    with pytest.MonkeyPatch.context() as patch:
         patch.setitem(STRUCTURES, name, entry)
-        assert cli.main(words) == 0
+        with contextlib.redirect_stderr(said):
+            assert cli.main(words) == 0
         with xr.open_datatree(out / "study.nc", engine="h5netcdf") as tree:
             result = tree.load()
         yield SimpleNamespace(name=name, words=words, out=out, said=said.getvalue(), result=result)
