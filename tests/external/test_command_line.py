@@ -45,15 +45,12 @@ def test_results_of_programs(tmp_path, monkeypatch):
     nothing = [*PYTHON, "-c", ""]
     c = ProgramSimulator(nothing, ["a"], {}, "table.npy", files=[tmp_path / "table.npy"])
     assert run_in(tmp_path / "npy", monkeypatch, c, 1.0).tolist() == [[0.0, 2.0, 4.0], [1.0, 3.0, 5.0]]
-    c = ProgramSimulator(
-        nothing, ["a"], {}, lambda folder: np.load(folder / "table.npy"), files=[tmp_path / "table.npy"]
-    )
+    given = {"files": [tmp_path / "table.npy"]}
+    c = ProgramSimulator(nothing, ["a"], {}, lambda folder: np.load(folder / "table.npy"), **given)
     assert run_in(tmp_path / "function", monkeypatch, c, 1.0).shape == (3, 2)
     (tmp_path / "solver").write_text(f"#!{sys.executable}\nopen('out.txt', 'w').write('7')")
     (tmp_path / "solver").chmod(0o755)
-    c = ProgramSimulator(
-        "./solver --fast", ["a"], {}, "out.txt", files=[tmp_path / "solver"]
-    )  # a string, split
+    c = ProgramSimulator("./solver --fast", ["a"], {}, "out.txt", files=[tmp_path / "solver"])  # split
     assert run_in(tmp_path / "program", monkeypatch, c, 1.0).tolist() == [[7.0]]
 
 
@@ -124,7 +121,6 @@ def test_ours_travel_without_the_package(simulator, tmp_path, monkeypatch):
 LINE = {"command": "run", "parameters": ["k"], "inputs": {}, "result": "out.txt"}
 BAD_LINES = {
     "`command` must name a program": {"command": ""},
-    "`parameters` must be a list of names, got 'k'": {"parameters": "k"},
     "`parameters` must be a list of names, got \\['1'\\]": {"parameters": ["1"]},
     "`inputs` must name parameters \\(k\\), got 'm' in in.txt": {"inputs": {"in.txt": "{{m}}"}},
     "`inputs` must name parameters \\(k\\), got 'm' in command": {"command": "run {{m[1]}}"},
@@ -147,19 +143,15 @@ def test_command_lines_that_cannot_be(message):
 BAD_SETTINGS = {
     "`function` must be callable, got int": {"function": 1},
     "`gradient` must be callable, got int": {"gradient": 1},
-    "`shape` must be \\(sensors, times\\) of the data, got \\(2,\\)": {"shape": (2,)},
     "`shape` must be \\(sensors, times\\) of the data, got \\(2, 0\\)": {"shape": (2, 0)},
     "`shape` must be \\(sensors, times\\) of the data, got 3": {"shape": 3},
     "`returns` must be one of response, mean_square, got 'e'": {"returns": "e"},
     "`timeout` must be a positive number of seconds, got 0": {"timeout": 0},
-    "`timeout` must be a positive number of seconds, got inf": {"timeout": np.inf},
     "`dt` must be a positive number of seconds, got -1.0": {"dt": -1.0},
     "`retries` must be an integer of at least 0, got 1.5": {"retries": 1.5},
-    "`retries` must be an integer of at least 0, got True": {"retries": True},
     "`version` must be a text, got 1": {"version": 1},
     "`executor` must be something that runs simulations, got 0": {"executor": 0},
     "`executor` must be something that runs simulations, got True": {"executor": True},
-    "`executor` must be something that runs simulations, got \\[\\]": {"executor": []},
     "`progress` must be True or False, got 'no'": {"progress": "no"},
 }
 

@@ -40,6 +40,11 @@ def test_responses_and_discrepancies(simulator):
     with pytest.raises(ValueError, match="`observed` must have shape"):
         s.discrepancies(k, observed=DATA[0])
     assert repr(s) == "ExternalSimulator(beam, shape=(2, 5))"
+    with pytest.raises(ValueError, match="must be called with parameters, got none"):
+        s()
+    with pytest.raises(ValueError, match=r"`observed` must have shape .* Transpose it"):
+        model_of("TN", s, DATA.T)
+    np.testing.assert_array_equal(s(2.0).eval(), beam(2.0))
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +83,7 @@ def test_densities_are_those_of_the_response(likelihood, chain_case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("likelihood", ["TN", "EXP", "ABC"])
+@pytest.mark.parametrize("likelihood", ["TN", "ABC"])
 def test_mean_squares_do_as_well_as_responses(likelihood, simulator):
     point = {"theta_interval__": 0.3, "sigma_interval__": -0.2}
     kinds = (simulator(), simulator(functions.beam_squares, returns="mean_square"))
@@ -88,14 +93,6 @@ def test_mean_squares_do_as_well_as_responses(likelihood, simulator):
         model_of("correlated", kinds[1], DATA).compile_logp()
     with pytest.raises(ValueError, match="must return responses for this"):
         model_of("NORM", kinds[1], DATA).compile_logp()(point)
-
-
-def test_parameters_that_are_no_variables(simulator):
-    with pytest.raises(ValueError, match="must be called with parameters, got none"):
-        simulator()()
-    with pytest.raises(ValueError, match=r"`observed` must have shape .* Transpose it"):
-        model_of("TN", simulator(), DATA.T)
-    np.testing.assert_array_equal(simulator()(2.0).eval(), beam(2.0))
 
 
 def test_failures_are_impossible_and_counted(simulator):
@@ -129,7 +126,7 @@ def test_predictive_draws(simulator):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "kind, likelihood",
-    [*(("response", name) for name in ("NORM", "TN", "ABC")), ("mean_square", "TN"), ("mean_square", "ABC")],
+    [("response", "NORM"), ("response", "ABC"), ("mean_square", "TN")],
 )
 def test_gradient_against_differences(kind, likelihood, simulator):
     if kind == "mean_square":
