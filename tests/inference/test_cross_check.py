@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 import pymc_features as pmf
-from pymc_features.inference.cross_check import tails_are_light
+from pymc_features.inference.cross_check import Density, Effort, cross_check, tails_are_light
 
 QUIET = {"progressbar": False, "cores": 1, "chains": 2}
 
@@ -168,3 +168,28 @@ def test_evidence_of_a_mode_is_that_of_laplace():
     idata = pmf.sample(100, model=model, random_seed=1, check=None, **QUIET)
     exact = stats.norm([0.0, 0.0], np.sqrt([101.0, 1.01])).logpdf([3.0, 0.5]).sum()
     assert float(idata["modes"]["log_evidence"][0]) == pytest.approx(exact, abs=1e-4)
+
+
+@pytest.mark.parametrize("log_weight", [-12.0, -40.0])
+def test_what_is_negligible_is_looked_at_once(log_weight):
+    """A hundred climbs end at one minor mode, whose curvature is taken once: two calls of 2 d gradients."""
+    rng, asked, d = np.random.default_rng(1), [], 7
+
+    def parts(x):
+        away = x - np.array([np.zeros((1, d)), np.full((1, d), 6.0)])
+        return np.array([[0.0], [log_weight]]) - 0.5 * (away**2).sum(axis=2) - 0.5 * d * np.log(
+            2.0 * np.pi
+        ), away
+
+    def gradients(x):
+        asked.append(len(x))
+        logs, away = parts(x)
+        shares = np.exp(logs - np.logaddexp(*logs))[:, :, None]
+        return np.logaddexp(*logs), -(shares * away).sum(axis=0)
+
+    density = Density(
+        lambda x: np.logaddexp(*parts(x)[0]), gradients, lambda n: rng.uniform(5.0, 7.0, (n, d))
+    )
+    found = cross_check(density, rng.standard_normal((500, d)), 0.0, 0.01, Effort(500, 100), rng)
+    assert not found.missed
+    assert asked.count(2 * d) < 10
