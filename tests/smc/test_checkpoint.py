@@ -88,12 +88,13 @@ def size_of(folder) -> int:
     return sum(path.stat().st_size for path in Path(folder).glob("*.journal"))
 
 
-def kill_at(size, folder, function, *arguments):
-    """Run a function in a forked process until the journals have a size; whether it had to be killed."""
-    process = multiprocessing.get_context("fork").Process(target=function, args=arguments)
+def killed_when(condition, model, folder, settings, every=0.0002):
+    """Go on with a run in a forked process until then; whether it had to be killed."""
+    settings = settings | {"checkpoint": folder}
+    process = multiprocessing.get_context("fork").Process(target=sample, args=(model,), kwargs=settings)
     process.start()
-    while process.is_alive() and size_of(folder) < size:
-        time.sleep(0.0002)
+    while process.is_alive() and not condition():
+        time.sleep(every)
     process.kill()
     process.join()
     return process.exitcode == -signal.SIGKILL
@@ -111,7 +112,7 @@ def test_killed_five_times(tmp_path):
     kills = known = 0
     finished = set()
     for size in sizes:
-        kills += kill_at(size, folder, resume, model, folder, settings)
+        kills += killed_when(lambda size=size: size_of(folder) >= size, model, folder, settings)
         calls = calls_in(function.path)
         assert finished.isdisjoint(calls[known:]), "evaluated again"
         known, finished = len(calls), {row for batch in particles_in(folder) for row in batch}
@@ -123,11 +124,6 @@ def test_killed_five_times(tmp_path):
     assert size_of(folder) == whole
     assert {row for batch in particles_in(folder) for row in batch} == set(calls_in(function.path))
     assert len(calls_in(function.path)) <= len(set(calls_in(function.path))) + 5 * most
-
-
-def resume(model, folder, settings):
-    """What a killed process was doing."""
-    sample(model, checkpoint=folder, **settings)
 
 
 @pytest.mark.processes
@@ -151,13 +147,7 @@ def test_killed_with_an_external_simulator_and_a_cache(tmp_path):
             k, sigma = pm.Uniform("x", 0.3, 1.5, shape=1), pm.HalfNormal("sigma", 1.0)
             pmf.TruncNormalFeature("y", simulator(k[0]), sigma, observed=DATA)
         allowed.write_text("80")
-        process = multiprocessing.get_context("fork").Process(target=resume, args=(model, folder, settings))
-        process.start()
-        while process.is_alive() and len(function.calls()) < 60:
-            time.sleep(0.02)
-        process.kill()
-        process.join()
-        assert process.exitcode == -signal.SIGKILL
+        assert killed_when(lambda: len(function.calls()) >= 60, model, folder, settings, every=0.02)
         allowed.write_text("1000000")
         draws, idata = sample(model, checkpoint=folder, **settings)
         expected, _ = sample(model, **settings)  # of calls that are all in the cache
