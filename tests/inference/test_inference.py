@@ -46,7 +46,7 @@ class Example:
     @functools.cached_property
     def nuts(self):
         """Under TN, whose tails are the longest."""
-        smc = {"draws": 500, "chains": 1, "cores": 1}
+        smc = {"draws": 500, "chains": 1, "cores": 1, "check": None}
         with pytensor.config.change_flags(mode="Mode"):
             return pmf.sample_nuts(
                 250, tune=200, chains=2, model=self.models["TN"], sample_settings=smc, **ONE, **QUIET
@@ -103,7 +103,7 @@ def two_modes():
 @pytest.mark.slow
 def test_disagreeing_chains_are_said_and_the_particles_kept():
     match = r"R-hat: x .*use the draws that they started from, in the group"
-    smc = {"draws": 500, "chains": 1, "cores": 1}
+    smc = {"draws": 500, "chains": 1, "cores": 1, "check": None}
     with pytest.warns(pmf.exceptions.ChainsDisagreeWarning, match=match):
         idata = pmf.sample_nuts(
             100, tune=100, chains=6, model=two_modes(), sample_settings=smc, **ONE, **QUIET
