@@ -79,22 +79,11 @@ def axes(folder):
 
 def by_sensor(folder):
     """A voltage at the base, inverted, and laser displacements in mm."""
-    np.savetxt(
-        folder / "volts.csv",
-        np.column_stack([TIME, -0.1 * BASE / G]),
-        fmt="%.8f",
-        delimiter=";",
-        header="time [s];table [V]",
-        comments="",
-    )
-    np.savetxt(
-        folder / "laser.csv",
-        np.column_stack([TIME, *(1e3 * DRIFT[[2, 1]])]),
-        fmt="%.9f",
-        delimiter=",",
-        header="time [s],laser top [mm],laser mid [mm]",
-        comments="",
-    )
+    for name, sign, header, columns in (
+        ("volts.csv", ";", "time [s];table [V]", [-0.1 * BASE / G]),
+        ("laser.csv", ",", "time [s],laser top [mm],laser mid [mm]", 1e3 * DRIFT[[2, 1]]),
+    ):
+        np.savetxt(folder / name, np.column_stack([TIME, *columns]), "%.9f", sign, header=header, comments="")
     return (
         '[data]\nbase = "table"\nsensors = ["mid", "top"]\ndofs = [1, 2]\n'
         'quantity = "relative_displacement"\n'
@@ -146,19 +135,15 @@ def test_displacements_under_a_record(tmp_path):
 
 
 def test_the_check_says_mass_and_frequencies(tmp_path, capsys):
-    (tmp_path / "update.toml").write_text(stamps(tmp_path) + TAIL.replace("SIGMA", "0.1"))
-    assert main(["check", str(tmp_path / "update.toml")]) == 0
+    """And displacements need a table of files."""
+    path, text = tmp_path / "update.toml", stamps(tmp_path) + TAIL.replace("SIGMA", "0.1")
+    path.write_text(text)
+    assert main(["check", str(path)]) == 0
     said = capsys.readouterr().err.replace("\n", " ")
     assert "3 degrees of freedom, 3000 kg that the base moves" in said and "frequencies" in said
-
-
-def test_displacements_need_a_table_of_files(tmp_path):
-    text = stamps(tmp_path).replace(
-        "[data]\n", '[data]\nquantity = "relative_displacement"\n'
-    ) + TAIL.replace("SIGMA", "0.1")
-    (tmp_path / "update.toml").write_text(text)
+    path.write_text(text.replace("[data]\n", '[data]\nquantity = "relative_displacement"\n'))
     with pytest.raises(ValueError, match="must have `files` as a table of sensors for `quantity`"):
-        read_problem(tmp_path / "update.toml")
+        read_problem(path)
 
 
 def test_matrices_in_other_units(tmp_path):
