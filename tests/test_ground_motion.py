@@ -44,9 +44,6 @@ def test_envelope_is_that_of_amin_and_ang():
     assert shaped.acceleration[0] == 0.0
 
 
-# --- spectrum -----------------------------------------------------------------------------------
-
-
 def clough_penzien(omega, omega_g, zeta_g, omega_f, zeta_f):
     """The closed form, written out from the book."""
     r, s = omega / omega_g, omega / omega_f
@@ -125,9 +122,6 @@ def test_end_is_not_wrapped_around_to_the_start():
     correlation = np.corrcoef(pairs.T)
     assert correlation[0, 1] > 0.8
     assert abs(correlation[0, 2]) < 4.0 / math.sqrt(300)
-
-
-# --- errors -------------------------------------------------------------------------------------
 
 
 INADMISSIBLE_ARGUMENTS_VALUES = {  # what is said: what is given

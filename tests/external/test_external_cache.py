@@ -26,8 +26,6 @@ from support.commands import run_python
 from support.external_functions import DATA, Counted, beam
 from support.external_models import AtOnce
 
-# --------------------------------------------------------------------------- identity
-
 
 def function_of(source, name="f", **known):
     """A function from source text, in a module of nobody."""
@@ -192,9 +190,6 @@ def test_the_same_in_another_process(simulator, tmp_path):
     assert sorted(k for _, k in s.function.calls()) == [1.0, 2.0]
 
 
-# --------------------------------------------------------------------------- the cache
-
-
 def test_results_are_found_again(simulator, tmp_path):
     path = tmp_path / "cache.sqlite"
     function = Counted(tmp_path / "calls")
@@ -298,9 +293,6 @@ def test_what_is_no_cache_is_refused(tmp_path):
         with pytest.raises(ValueError, match=f"of version 1, got .* with version {version}"):
             EvaluationCache(tmp_path / name)
         assert (tmp_path / name).read_bytes() == before
-
-
-# --------------------------------------------------------------------------- pickling
 
 
 def test_pickling(simulator, tmp_path):

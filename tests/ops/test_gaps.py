@@ -159,9 +159,6 @@ def test_numpy_and_other_expressions():
     np.testing.assert_allclose(slope, np.where(np.isnan(data), 0.0, -4.0 * (data - mu) / n), atol=1e-12)
 
 
-# --------------------------------------------------------------------------- likelihoods
-
-
 @EVERY_FEATURE
 @pytest.mark.parametrize("method", ["logp", "logcdf"])
 @pytest.mark.parametrize("density", ["feature", "data"])
@@ -290,9 +287,6 @@ def test_fisher_information_knows_the_gaps():
     np.testing.assert_allclose(found, np.einsum("ist,st,jst->ij", slopes, weights, slopes), rtol=1e-8)
 
 
-# --------------------------------------------------------------------------- without likelihood, outside
-
-
 @pytest.mark.parametrize("as_function", [False, True])
 def test_tolerance_of_simulations(as_function):
     data, (build, record) = with_gaps(measured("chain")), CASES["chain"]
@@ -358,9 +352,6 @@ def test_mean_squares_that_come_from_outside_are_taken_as_they_are():
     np.testing.assert_array_equal(found, beam_squares(1.2))
 
 
-# --------------------------------------------------------------------------- JAX
-
-
 @pytest.mark.slow
 def test_jax(quick_compilation):
     data = with_gaps(measured("chain"))
@@ -373,9 +364,6 @@ def test_jax(quick_compilation):
     expected = graph("chain")(X[0], data, X)
     for got, same in zip(found, expected[:4], strict=True):
         np.testing.assert_allclose(got, same, rtol=1e-9, atol=1e-12)
-
-
-# --------------------------------------------------------------------------- refusals
 
 
 def planted(value, index):

@@ -37,9 +37,6 @@ def started():
     return jax.devices()
 
 
-# --------------------------------------------------------------------------- all Ops against the kernels
-
-
 @pytest.mark.parametrize("name", ["chain", "coupled damping", "two supports", "hysteretic", *CYCLIC])
 def test_all_ops_of_every_family_agree_with_the_kernels(name, quick_compilation):
     """Values, reverse and forward derivatives, alone and in populations; NaN where there is no structure."""
@@ -67,9 +64,6 @@ def test_all_ops_of_every_family_agree_with_the_kernels(name, quick_compilation)
 
 RECORD = noise_record(N_TIMES)
 MEASURED = with_noise(simulate(three_storeys(100.0), RECORD))
-
-
-# --------------------------------------------------------------------------- log-densities of models
 
 
 def model_of(likelihood, dt=None):
@@ -128,29 +122,6 @@ def test_log_densities_of_models(likelihood, request):
     assert np.isneginf(logp[7]) or np.isnan(logp[7])
 
 
-def test_on_the_first_device(quick_compilation):
-    """A GPU where JAX has one, else the processor: there, in double precision, point by point."""
-    density = jax.jit(jax.value_and_grad(log_density(model_of(pmf.TruncNormalFeature))))
-    device = jax.devices()[0]
-    assert device.platform == jax.default_backend()
-    expected, slopes = by_pymc(model_of(pmf.TruncNormalFeature), POINTS)
-    for point, value, slope in zip(zip(*POINTS, strict=True), expected, slopes, strict=True):
-        logp, gradient = density(jax.device_put([np.array(x) for x in point], device))
-        assert all(x.devices() == {device} and x.dtype == np.float64 for x in (logp, *gradient))
-        np.testing.assert_allclose([logp, *gradient], [value, *slope], rtol=LIMIT)
-
-
-def test_gradient_by_the_data(quick_compilation):
-    """Data that are no numbers, such as a record with unknown offset, count."""
-    with pm.Model() as model:
-        offset = pm.Flat("offset")
-        mu = response(three_storeys(100.0), RECORD)
-        pm.Potential("misfit", pmf.mean_square_discrepancy(mu, MEASURED + offset).sum())
-    _, [[expected]] = by_pymc(model, [[0.5]])
-    [gradient] = jax.jit(jax.grad(log_density(model)))([np.array(0.5)])
-    assert gradient == pytest.approx(expected, rel=LIMIT)
-
-
 @pytest.mark.filterwarnings("ignore:The RandomType SharedVariables")  # PyTensor copies generators for JAX
 def test_correlated_draws():
     """Covariance of 20000 draws within five standard errors; a false alarm in 6000 seeds."""
@@ -165,9 +136,6 @@ def test_correlated_draws():
             assert (worst < 5.0) == (longer == 1.0)
 
 
-# --------------------------------------------------------------------------- the output step as data
-
-
 def test_output_step_as_data(quick_compilation):
     """Comparisons take it as it comes; a response by itself, whose shape it decides, is refused."""
     model = model_of(pmf.TruncNormalFeature, dt=0.04)
@@ -180,8 +148,6 @@ def test_output_step_as_data(quick_compilation):
     with pytest.raises(NotImplementedError, match="fixed when it compiles.*Pass `dt` to response"):
         pytensor.function([], response(with_first_spring(1.0), RECORD, dt=model["step"]), mode="JAX")
 
-
-# --------------------------------------------------------------------------- samplers
 
 SAMPLERS = {
     "nutpie": {"nuts_sampler": "nutpie", "backend": "jax", "compile_kwargs": {"gradient_backend": "jax"}},
@@ -224,8 +190,6 @@ def test_samplers_find_the_posterior(sampler, one_stiffness, quick_compilation):
     assert abs(theta.std() - sd) < 5 * az.mcse(theta, method="sd")
     assert abs(theta.mean() - (mean + sd)) > 5 * az.mcse(theta)  # negative control: one sd beside
 
-
-# --------------------------------------------------------------------------- JAX is imported late
 
 LATE = """
     import sys

@@ -91,14 +91,11 @@ PEAK_GROWTH = """
 
 @pytest.mark.processes
 def test_peaks_do_not_grow_with_histories_and_particles(tmp_path):
-    """Growth of the peak over the size of the data, in one process.
+    """Growth of the peak over the size of the data, in one process; what needs histories is the control.
 
-    Of gradients, where forward mode, which returns a history, is the negative control, and of a discrepancy,
-    whose unfused graph is it: they copy the record, a tenth of the data. Of 100 particles of 10 x 15590, with
-    the histories of all as control. Two tables of the data under a record refined twice take a few histories
-    there, whatever the number of particles. Of gradients of 64 by four statistics, by machine code, which
-    keep the history of one at a time (1.5 with what is beside it, for 1 to 256 particles) and are those of
-    the kernels that Python calls and of the control, which has 16.
+    Of gradients and of a discrepancy, which copy the record, a tenth of the data. Of 100 particles, where two
+    tables of the data take a few histories. Of gradients of 64 by four statistics, by machine code, which
+    keep the history of one at a time.
     """
     pytest.importorskip("resource")
     gradients, discrepancy, populations, slopes = run_python(PEAK_GROWTH, tmp_path).splitlines()

@@ -54,9 +54,6 @@ def measured(pulse):
     return with_noise(simulate(three_storeys(100.0), pulse))
 
 
-# --------------------------------------------------------------------------- Numba = Python = NumPy
-
-
 def symbolic_inputs():
     """One variable for each input of the Ops, nothing known before run time."""
     return [
@@ -138,23 +135,6 @@ def test_numba_takes_the_kernels_not_object_mode(compiled):
     assert our_ops_of(compiled[0]) >= {StructuralResponse, StructuralDiscrepancy}
 
 
-def test_views_are_as_good_as_contiguous_arrays():
-    """Columns and transposes inside a graph reach the kernels; Numba knows them as another type."""
-    table, data = pt.matrix("table"), pt.matrix("data")
-    inputs = numeric_inputs(3)
-    inputs[:2] = table[:, 0], table[:, 1]
-    e = StructuralDiscrepancy()(*inputs, data.T)
-    numbers = numeric_inputs(3)
-    observed = np.random.default_rng(4).normal(size=(N_DOF, N_TIMES))
-    expected = chain_discrepancy(*numbers, 0, observed)
-    for mode in ("NUMBA", PLAIN):
-        got = pytensor.function([table, data], e, mode=mode)(np.stack(numbers[:2], axis=1), observed.T)
-        np.testing.assert_allclose(got, expected, rtol=1e-13)
-
-
-# --------------------------------------------------------------------------- fused = unfused
-
-
 @pytest.mark.parametrize("wrap", ["plain", "deterministic", "named copy", "specified shape"])
 def test_fused_discrepancy_equals_unfused(pulse, measured, wrap):
     stiffness = pt.vector("stiffness", shape=(N_DOF,))
@@ -206,16 +186,6 @@ def test_other_expressions_are_not_fused(pulse, measured):
         np.testing.assert_allclose(e.eval(mode=PLAIN), expected, rtol=1e-13, err_msg=name)
 
 
-def test_numpy_in_numpy_out():
-    rng = np.random.default_rng(3)
-    mu, data = rng.normal(size=(2, 4, 3, 50))
-    e = mean_square_discrepancy(mu, data)
-    assert isinstance(e, np.ndarray)
-    np.testing.assert_allclose(e, ((mu - data) ** 2).sum(axis=-1) / 50, rtol=1e-14)
-    tensor = mean_square_discrepancy(pt.as_tensor_variable(mu), data)
-    np.testing.assert_allclose(tensor.eval(mode=PLAIN), e, rtol=1e-14)
-
-
 def test_batch_of_data_against_one_response(pulse, measured):
     data = np.stack([measured, 2.0 * measured])
     mu = response(three_storeys(100.0), pulse)
@@ -233,9 +203,6 @@ def test_records_of_equal_length_are_not_confused(pulse):
     a, b = pytensor.function([], outputs, mode=REWRITTEN)()
     np.testing.assert_array_equal(a, simulate(three_storeys(100.0), pulse).values)
     np.testing.assert_array_equal(b, simulate(three_storeys(100.0), other).values)
-
-
-# --------------------------------------------------------------------------- shapes
 
 
 def of_batch(pulse, measured, batch):
@@ -299,9 +266,6 @@ def test_batch_of_particles(batched, pulse, measured):
         np.testing.assert_array_equal(a, b)
 
 
-# --------------------------------------------------------------------------- identity and pickling
-
-
 @pytest.mark.parametrize("pickler", [pickle, cloudpickle])
 def test_ops_and_functions_survive_pickling(pickler, pulse, measured):
     ops = [op(quantity) for op in OPS for quantity in QUANTITIES]
@@ -313,9 +277,6 @@ def test_ops_and_functions_survive_pickling(pickler, pulse, measured):
     function = pytensor.function([stiffness], e, mode=PLAIN)
     again = pickle.loads(pickler.dumps(function))
     np.testing.assert_array_equal(again(80.0), function(80.0))
-
-
-# --------------------------------------------------------------------------- errors
 
 
 def test_data_must_fit_the_response(pulse, measured):
@@ -355,9 +316,6 @@ def test_data_must_fit_the_response(pulse, measured):
 def test_response_refuses_wrong_settings(pulse, settings, error, match):
     with pytest.raises(error, match=match):
         response(**{"structure": three_storeys(100.0), "record": pulse} | settings)
-
-
-# --------------------------------------------------------------------------- no gradients
 
 
 def build_model(likelihood, pulse, measured):
@@ -419,9 +377,6 @@ def test_the_advice_of_the_refusal_works(pulse, measured):
                 warnings.simplefilter("ignore", FutureWarning)
                 mode = pm.find_MAP(method="powell", progressbar=False)
             assert 0.5 < mode["theta"] < 1.5
-
-
-# --------------------------------------------------------------------------- the graph of a likelihood
 
 
 @pytest.mark.parametrize("likelihood", [TruncNormalFeature, ExpFeature])

@@ -40,7 +40,7 @@ def force_of(law, displacement):
     return forces(law, Excitation(displacement, 1.0, 1, 1))[0]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_force_is_that_of_a_tight_ode_solution(seed):
     law = random_law(seed)
     displacement = cycles(law[1], [1.0, -1.0, 3.0, -3.0, 4.0, -5.0, 6.0], 5)
@@ -136,13 +136,8 @@ def test_what_is_no_specimen_gives_nan():
     k, gamma = pt.scalar("k"), pt.scalar("gamma")
     test = CyclicTest([0.0, 0.01, -0.01])
     force = response(specimen(stiffness=k, gamma=gamma), test)
-    for values in (
-        {k: -1.0, gamma: 0.5},
-        {k: 1.0, gamma: 0.6},
-        {k: 1.0, gamma: -0.5},
-        {k: 1.0, gamma: np.nan},
-    ):
-        assert np.isnan(force.eval(values)).all()
+    for values in ((-1.0, 0.5), (1.0, 0.6), (1.0, -0.5), (1.0, np.nan)):
+        assert np.isnan(force.eval(dict(zip((k, gamma), values, strict=True)))).all()
     assert np.isfinite(force.eval({k: 1.0, gamma: -0.4})).all()
 
 
@@ -160,8 +155,6 @@ VALUES = {
     "`gamma` must lie above -beta and not exceed beta = 0.5, got 0.6": lambda: specimen(gamma=0.6),
     "`gamma` must be finite, got nan": lambda: specimen(gamma=np.nan),
     "`slip` must be below 1, got 1. With 1 a spring would slip": lambda: Pinching(1.0),
-    "`post_yield_ratio` must lie between 0 and 1, got 1.2": lambda: specimen(post_yield_ratio=1.2),
-    "`sharpness` must be at least 1, got 0.9": lambda: specimen(sharpness=0.9),
     "`strength` must be a scalar, got 1 dimension": lambda: Degradation([0.1, 0.2]),
     "`displacement` must be one-dimensional with at least 2 samples": lambda: CyclicTest([[0.0, 0.1]]),
 }

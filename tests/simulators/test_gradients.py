@@ -19,8 +19,6 @@ from support.reference import first_order_hold, interpolated
 CHAIN = FAMILIES["chain"]
 TINY = 1e-30  # complex step, relative: its square is nothing beside one
 
-# --------------------------------------------------------------------------- an independent route
-
 
 def square_root(matrix):
     """Principal root by Denman and Beavers: complex steps pass, at repeated eigenvalues too."""
@@ -97,9 +95,6 @@ def complex_steps(arguments, steps, by_modes=False):
     return histories[0].real, histories.imag / TINY
 
 
-# --------------------------------------------------------------------------- structures
-
-
 def soft_middle(softness):
     """Two parts of one frequency each, sqrt(1000) rad/s, which a soft spring joins."""
     return {"mass": np.ones(3), "stiffness": np.array([1000.0, 1000.0 * softness, 500.0])}
@@ -120,9 +115,6 @@ def wilkinson(n):
         "mass": root**2,
         "stiffness": np.append(100.0 * matrix[0, 0] * root[0] ** 2 - springs[0], springs),
     }
-
-
-# --------------------------------------------------------------------------- kernels against complex steps
 
 
 def block_error(actual, expected, n, size=None):

@@ -73,8 +73,6 @@ def growing_record(n_times):
     return Record(4.0 * np.sin(2.0 * np.pi * t) * t, 0.02)
 
 
-# --------------------------------------------------------------------------- independent routes
-
 CASES = {
     "bouc-wen": (bouc_wen(), noise_record()),
     "bouc-wen, one mass, free": (bouc_wen(1), pulse_record()),
@@ -208,9 +206,6 @@ def test_duffing_free_vibration_is_a_jacobi_elliptic_cosine():
     assert peak_error(u, exact) < 1e-6
 
 
-# --------------------------------------------------------------------------- linear limits
-
-
 @pytest.mark.parametrize(
     ("n", "damping", "quantity"),
     [
@@ -235,9 +230,6 @@ def test_linear_limits(n, damping, quantity):
         assert peak_error(ours.values, exact.values) < 1e-6
         assert ours.attrs == exact.attrs
         assert ours.coords.equals(exact.coords)
-
-
-# --------------------------------------------------------------------------- hysteresis
 
 
 def slow_cycles():
@@ -291,9 +283,6 @@ def test_springs_dissipate_and_stay_on_their_leash(sharpness, beta, gamma):
     assert (loss.sum(axis=1) > 0.1).all()
 
 
-# --------------------------------------------------------------------------- what users get
-
-
 @pytest.mark.parametrize("chain", [bouc_wen(), duffing()], ids=str)
 def test_output_steps_and_sensors(chain):
     """Every output step gives the same motion at common times."""
@@ -327,8 +316,6 @@ def test_parameters_may_be_variables():
     np.testing.assert_array_equal(table.eval({dy: 0.02, n: 3.0}), expected)
     assert duffing(2, cubic=pt.vector("c", shape=(2,))).is_symbolic
 
-
-# --------------------------------------------------------------------------- bad input
 
 TABLE = {"dy": 0.01, "ratio": 0.1, "n": 2.0, "beta": 0.5, "gamma": 0.5}
 INVALID = [

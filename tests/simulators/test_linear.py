@@ -3,22 +3,14 @@
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.linalg import eigh
 
 from pymc_features import LinearStructure, ModalDamping, RayleighDamping, simulate
-from pymc_features.algebra import count_below, eliminate
 from pymc_features.simulators import QUANTITIES
-from pymc_features.simulators.linear.oscillators import Direct, march_system
-from pymc_features.simulators.linear.state_space import StateMatrices, march_state, modal_equations
 from pymc_features.simulators.linear.system import is_coupled
-from pymc_features.simulators.oscillators.arguments import Excitation
-from pymc_features.simulators.oscillators.modal_system import ModalSystem
 from support.linear import UNDAMPED, as_linear, noise, of_matrices, random_structure, spring_chain
 from support.reference import first_order_hold, interpolated
 from support.straight import Loading
 from support.structures import noise_record, peak_error, random_chain
-
-# --------------------------------------------------------------------------- independent routes
 
 
 def by_exponential(matrices, load, inputs, dt, static=None, *, substeps=1, stride=1):
@@ -29,9 +21,6 @@ def by_exponential(matrices, load, inputs, dt, static=None, *, substeps=1, strid
     x, v, relative = first_order_hold(drag, spring, push, inputs, dt / substeps, stride)
     absolute = relative if static is None else relative + static @ inputs[:, ::stride]
     return dict(zip(QUANTITIES, (absolute, relative, v, x), strict=True))
-
-
-# --------------------------------------------------------------------------- the chain is a member
 
 
 @pytest.mark.parametrize("seed", [0, 3, 6])
@@ -61,9 +50,6 @@ def test_chain_with_truncated_modes_and_output_steps(n_modes, factor):
             assert found.coords.equals(expected.coords) and found.attrs == expected.attrs
 
 
-# --------------------------------------------------------------------------- coupled damping
-
-
 @pytest.mark.parametrize(
     ("damping", "n", "rank", "substeps", "stride"),
     [(1e-3, 2, 1, 1, 1), (0.1, 5, 2, 3, 1), (30.0, 8, 8, 1, 4)],
@@ -79,29 +65,6 @@ def test_coupled_damping_against_matrix_exponential(n, rank, damping, substeps, 
     for quantity in QUANTITIES:
         found = simulate(structure, record, quantity=quantity, dt=record.dt * stride / substeps)
         assert peak_error(found, expected[quantity]) < 1e-9
-
-
-@pytest.mark.parametrize("quantity", range(4))
-def test_both_routes_on_the_same_modes(quantity):
-    """Uncoupled modes, omega h from 0 to 1e4, stepped singly and as one state."""
-    omega = np.array([0.0, 1.0, 30.0, 3e3, 5e5])
-    zeta = np.array([0.0, 0.02, 1.0, 0.1, 3.0])
-    participation, shapes = np.ones((5, 1)), np.eye(5)
-    inputs, direct = noise(18, (1, 200)), np.zeros((5, 1))
-    damping = 2.0 * zeta * omega
-    singly, together, excitation = np.empty((5, 200)), np.empty((5, 200)), Excitation(inputs, 0.02, 1, 1)
-    system = ModalSystem(omega, damping, shapes, participation)
-    march_system(system, Direct(direct, direct, True), excitation, quantity, singly, singly)
-    equations = modal_equations(omega, np.diag(damping), participation, 0.02)
-    outputs = equations.output_matrix(shapes, quantity)
-    matrices = StateMatrices(*equations.step_matrices(), outputs, direct)
-    march_state(matrices, excitation, together, together, np.empty((1, 0)))
-    for one, other in zip(singly, together, strict=True):
-        at_rest = np.abs(one).max() < 1e-150  # the rigid body's acceleration relative to its base
-        assert not np.any(other) if at_rest else peak_error(other, one) < 1e-9
-
-
-# --------------------------------------------------------------------------- special spectra
 
 
 def test_a_soft_mode_is_no_rigid_body():
@@ -132,17 +95,6 @@ def test_sparse_solver_finds_every_copy(n, copies, groups):
     np.testing.assert_allclose(modes.angular_frequencies, np.repeat(lowest, copies), rtol=1e-10)
     shapes = modes.mode_shapes
     np.testing.assert_allclose(shapes.T @ shapes, np.eye(groups * copies), atol=1e-9)
-
-
-def test_inertia_counts_eigenvalues():
-    """The pivots of a two-dimensional grid, whose elimination reorders, against all its eigenvalues."""
-    line = spring_chain(12, 1.0)
-    grid = sparse.kronsum(line, line).tocsc()
-    mass = sparse.diags_array(np.linspace(1.0, 2.0, 144)).tocsc()
-    values = eigh(grid.toarray(), mass.toarray(), eigvals_only=True)
-    assert eliminate(grid) is not None
-    for bound in (0.5 * values[0], 0.5 * (values[5] + values[6]), 0.5 * (values[70] + values[71])):
-        assert count_below(mass, grid, bound) == (values < bound).sum()
 
 
 @pytest.mark.parametrize("kind", [np.asarray, sparse.csr_matrix], ids=["dense", "sparse"])
@@ -183,9 +135,6 @@ def test_floating_chain_with_a_dashpot():
     raft = LinearStructure([2.0], stiffness=[[0.0]], damping=[[3.0]])
     found = simulate(raft, Loading(np.full(100, 6.0), 0.02, kind="force"), quantity="relative_velocity")
     assert peak_error(found[0], 2.0 * (1.0 - np.exp(-1.5 * found["time"]))) < 1e-12
-
-
-# --------------------------------------------------------------------------- sparse beside dense
 
 
 def test_large_sparse_structure():

@@ -5,19 +5,15 @@ import copy
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.linalg import eigh_tridiagonal
 
 from pymc_features import (
-    AffineStructure,
     LinearStructure,
-    RayleighDamping,
     simulate,
 )
 from pymc_features.simulators import FAMILIES
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear import gradient
 from pymc_features.simulators.linear import response as population
-from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.system import is_coupled
 from support.kernels import (
     linear_discrepancy,
@@ -33,7 +29,7 @@ from support.kernels import (
     linear_response_tangent,
 )
 from support.linear_cases import CASES, LINEAR, random_case, split
-from support.reference import first_order_hold, misfit_statistics
+from support.reference import misfit_statistics
 from support.straight import Record
 from support.structures import peak_error
 
@@ -98,9 +94,6 @@ def test_gradient_of_the_misfit_across_blocks(total, substeps, stride, coupled):
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max() + 1e-14)
 
 
-# --------------------------------------------------------------------------- populations
-
-
 @pytest.mark.parametrize("name", ["coupled, quantity 0", "classical, two supports", "classical, sparse"])
 def test_population_is_its_particles(name):
     """Those that share theta, or not; what is shared gets the sum of the gradients; the bad one is NaN."""
@@ -122,9 +115,6 @@ def test_population_is_its_particles(name):
     theta[2] = -20.0
     bad = linear_population_discrepancy(*population)
     assert np.isnan(bad[2]).all() and np.isfinite(np.delete(bad, 2, axis=0)).all()
-
-
-# --------------------------------------------------------------------------- dense and compiled as a whole
 
 
 @pytest.mark.slow
@@ -217,31 +207,11 @@ def test_dense_gradients_are_compiled(name, shared, monkeypatch):
         np.testing.assert_array_equal(np.isnan(got).all(axis=1), bad)
 
 
-@pytest.mark.parametrize(
-    ("mass", "stiffness"),
-    [
-        (np.full((2, 2), np.nan), np.eye(2)),
-        (np.eye(2), np.array([[1.0, np.inf], [np.inf, 1.0]])),
-        (np.diag([1.0, -1.0]), np.eye(2)),
-        (np.diag([1.0, 0.0]), np.diag([1.0, 0.0])),  # neither mass nor stiffness
-        (np.array([[1.0, 1.0], [1.0, 0.0]]), 100.0 * np.eye(2)),
-        (np.array([[1.0, 2.0], [2.0, 1.0]]), 100.0 * np.eye(2)),  # an eigenvalue of -1
-        (1e-200 * np.eye(2), 1e200 * np.eye(2)),  # omega^2 overflows
-        (1e-200 * np.array([[2.0, 1.0], [1.0, 2.0]]), 1e200 * np.eye(2)),
-    ],
-)
-def test_no_compiled_modes(mass, stiffness):
-    assert not dense_modes(mass, stiffness, np.empty(2), np.empty((2, 2)))
-
-
 @pytest.mark.parametrize("name", ["classical, two supports", "coupled, two supports", "classical, sparse"])
 def test_sparse_outputs(name):
     case, _ = CASES[name]
     thin = case.arguments_with(sensors=sparse.csr_array(case.sensors))
     assert peak_error(linear_response(*thin), linear_response(*case.arguments)) < 1e-13
-
-
-# --------------------------------------------------------------------------- what is no structure
 
 
 @pytest.mark.parametrize("large", [False, True])
@@ -320,58 +290,6 @@ def test_sizes_that_disagree():
         linear_population_discrepancy(*rows, *case.rest, observed)
     with pytest.raises(ValueError, match="and `weights` all rows"):
         linear_population_gradient(rows[0], *(a[:1] for a in rows[1:]), *case.rest, observed, weights[None])
-
-
-# --------------------------------------------------------------------------- large and sparse
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("coupled", [False, True])
-def test_twenty_modes_of_two_thousand(coupled):
-    """Against a banded eigen-solver and a matrix exponential: response to 1e-8, tangent, transpose."""
-    n, kept, k = 2000, 20, 1e8
-    rng = np.random.default_rng(6)
-    zones = np.arange(n) * 4 // n
-    drifts = sparse.diags_array([np.ones(n), -np.ones(n - 1)], offsets=[0, -1]).tocsc()
-    terms = [(drifts.T @ sparse.diags_array(np.where(zones == z, k, 0.0)) @ drifts).tocsc() for z in range(4)]
-    theta = np.array([1.0, 0.9, 1.1, 0.8])
-    top = sparse.coo_array(([200.0], ([n - 1], [n - 1])), shape=(n, n))
-    damping = (0.5 * sparse.eye_array(n) + top).tocsc() if coupled else RayleighDamping(0.5, 0.0)
-    structure = AffineStructure(
-        np.ones(n), stiffness=sparse.csc_array((n, n)), damping=damping, stiffness_terms=terms, theta=theta
-    )
-    record = Record(rng.normal(size=300), 0.02)
-    sensors = np.array([300, 999, 1999])
-    drag = np.full(n, 0.5)
-    drag[-1] += 200.0 * coupled
-
-    def reference(values):
-        spring = k * values[zones]
-        above = np.append(spring[1:], 0.0)
-        lowest, shapes = eigh_tridiagonal(spring + above, -spring[1:], select="i", select_range=(0, kept - 1))
-        own_drag = shapes.T @ (drag[:, None] * shapes)
-        system = own_drag, np.diag(lowest), -shapes.T @ np.ones((n, 1))
-        relative = first_order_hold(*system, record.acceleration[None], record.dt)[2]
-        return shapes[sensors] @ relative + record.acceleration
-
-    _, rayleigh, ratios = structure.parameters()
-    arguments = (
-        *(theta, rayleigh, ratios[:kept], *structure.constants(record), structure.excitation(record)),
-        *(record.dt, 1, 1, np.eye(n)[sensors], kept, 0),
-    )
-    expected = reference(theta)
-    assert peak_error(linear_response(*arguments), expected) < 1e-8
-    direction, step = rng.normal(size=4), 1e-4
-    expected = (
-        8.0 * (reference(theta + step * direction) - reference(theta - step * direction))
-        - (reference(theta + 2 * step * direction) - reference(theta - 2 * step * direction))
-    ) / (12.0 * step)
-    zeros = np.zeros(2), np.zeros(kept)
-    moved = linear_response_tangent(*arguments, direction, *zeros)
-    assert peak_error(moved, expected) < 1e-6
-    weights = rng.normal(size=moved.shape)
-    gradient = linear_response_gradient(*arguments, weights)[0]
-    assert (weights * moved).sum() == pytest.approx(direction @ gradient, rel=1e-6)
 
 
 def test_simulate_and_the_kernel_are_one():

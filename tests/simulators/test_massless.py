@@ -49,9 +49,6 @@ def arguments_of(structure, outputs, quantity, record=RECORD, n_modes=None):
     )
 
 
-# --------------------------------------------------------------------------- histories
-
-
 @kinds
 @arms
 @dampings
@@ -74,9 +71,6 @@ def test_histories_are_those_of_the_condensed_structure(kind, arm, damping):
             expected = by_condensation(long, THETA, damping, code, 3)
             found = simulate(long.structure(THETA, kind=kind), RECORD, quantity=quantity, n_modes=3)
             assert peak_error(found, expected) < 1e-10
-
-
-# --------------------------------------------------------------------------- derivatives
 
 
 def derivatives(beam, damping, quantity, n_modes):
@@ -161,9 +155,6 @@ def test_forces_on_masses_and_on_what_follows(kind):
         simulate(structure, moment, outputs=np.eye(8)[[1]])
     load = Loading(RECORD.acceleration, RECORD.dt, kind="force", matrix=np.eye(8)[:, [2]])
     assert simulate(structure, load).shape == (8, 120)  # a force on a mass
-
-
-# --------------------------------------------------------------------------- a bridge
 
 
 @pytest.fixture(scope="module")

@@ -99,50 +99,6 @@ def of_case(name):
     return family, given, where, *data(family, given, where)
 
 
-def population_gradient(family, population, where, observed, weights):
-    """With weights (p, s, q) of the statistics."""
-    *record, sensors, n_modes, quantity = where
-    given = FAMILIES[family].assemble([*population, *record, NO_DIRECT, sensors, n_modes], quantity)
-    return FAMILIES[family].kernels["population_gradient"](*given, observed, weights)
-
-
-@pytest.mark.parametrize("family", KERNELS)
-def test_population_is_a_loop(family):
-    """Parameters with a row for each particle or one for all; one that is no chain does not affect others.
-
-    Others in the lanes beside it change the steps of a particle.
-    """
-    kernels, where = KERNELS[family], settings(n_times=30)
-    given = parameters(family)
-    _, observed = data(family, given, where)
-    scales = np.random.default_rng(4).uniform(0.8, 1.2, 5)
-    scales[3] = -1.0
-    population = (given[0][None], scales[:, None] * given[1], given[2][None], given[3][None], given[4][None])
-    weights = np.random.default_rng(5).normal(size=(5, 2, 4))
-    sums = kernels["population_misfit"](*population, *where, observed)
-    errors = kernels["population_discrepancy"](*population, *where, observed)
-    gradient = population_gradient(family, population, where, observed, weights)
-    assert [g.shape for g in gradient] == [p.shape for p in population]
-    shared = 0.0
-    for k, scale in enumerate(scales):
-        own = (given[0], scale * given[1], *given[2:])
-        np.testing.assert_allclose(sums[k], kernels["misfit"](*own, *where, observed), rtol=2e-6)
-        np.testing.assert_array_equal(errors[k], sums[k, :, 0])
-        alone = kernels["misfit_gradient"](*own, *where, observed, weights[k])
-        np.testing.assert_allclose(gradient[1][k], alone[1], rtol=0, atol=1e-4 * np.abs(alone[1]).max())
-        assert np.isnan(alone[1]).all() == np.isnan(sums[k]).all() == (k == 3)
-        shared = shared + (0.0 if k == 3 else alone[4])
-    assert np.isnan(gradient[4]).all()  # the sum over all
-    valid = np.arange(5) != 3
-    population = (*population[:1], population[1][valid], *population[2:])
-    gradient = population_gradient(family, population, where, observed, weights[valid])
-    computed = np.isfinite(gradient[4][0]).all(axis=-1)
-    assert computed.sum() == len(computed) - (family == "hysteretic")  # all but the sharpness
-    shared = shared[computed]
-    near = np.abs(gradient[4][0][computed] - shared) < 1e-4 * np.abs(shared).max(axis=-1, keepdims=True)
-    assert near.all()
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_misfit_gradient(name):
     """The Taylor steps in reverse, against differences of the response by Runge-Kutta steps.
@@ -275,9 +231,6 @@ def test_accuracy_over_a_record(family, record):
 
     exact = differences(fine, given, change, 1e-5)
     assert gradient_errors(family, given, where, [(change, exact)]).max() < 1e-6
-
-
-# --------------------------------------------------------------------------- bad parameters and sizes
 
 
 @pytest.mark.parametrize("family", KERNELS)

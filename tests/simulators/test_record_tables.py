@@ -1,8 +1,4 @@
-"""Long records: mean squares and gradients from tables are those of the march, in public comparisons.
-
-What is compared with the march is a control at once: the same function is called again with other numbers of
-samples from where a table is used.
-"""
+"""Long records: mean squares and gradients from tables are those of the march, in public comparisons."""
 
 import pickle
 

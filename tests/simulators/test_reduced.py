@@ -9,7 +9,7 @@ from pymc_features import AffineStructure, ModalDamping
 from pymc_features.modal.structural_modes import AT_REST
 from pymc_features.simulators import FAMILIES, Outputs
 from pymc_features.simulators.linear.arguments import LinearParameters
-from pymc_features.simulators.linear.known import KNOWN, Known
+from pymc_features.simulators.linear.known import KNOWN
 from pymc_features.simulators.modal import linear
 from pymc_features.simulators.modal.perturbation import Cotangent
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT
@@ -269,14 +269,3 @@ def test_a_basis_that_is_too_small_is_noticed():
     found = linear.linear_population_modes(population(structure, 3.0 * NEAR[:1]), WANTED)
     assert known.solved == solved + 1
     np.testing.assert_allclose(found[0][0], dense_frequencies(structure, 3.0 * NEAR[0]), rtol=1e-9)
-
-
-def test_a_basis_stays_small(monkeypatch):
-    """Where its columns do not suffice it begins anew, and gives up if it holds hardly any structure."""
-    monkeypatch.setattr(Known, "most", property(lambda self: 14, lambda self, value: None), raising=False)
-    thetas = NEAR * 6.0
-    frequencies, *_ = linear.linear_population_modes(population(membrane(), thetas), WANTED)
-    known = KNOWN.entries[0]
-    assert known.is_given_up and known.basis.size <= 14
-    assert KNOWN.of(known.given, M, 40) is None
-    np.testing.assert_allclose(frequencies[5], dense_frequencies(membrane(), thetas[5]), rtol=1e-9)

@@ -17,8 +17,6 @@ from support.reference import first_order_hold, interpolated
 from support.straight import Record
 from support.structures import DAMPINGS, noise_record, random_chain
 
-# --------------------------------------------------------------------------- independent routes
-
 
 def full_response(structure, record, *, substeps=1, stride=1):
     """All quantities without modes: first-order hold of M u" + C u' + K u = -M a_g."""
@@ -60,9 +58,6 @@ def test_step_coefficients_against_matrix_exponential(zeta):
         assert_close_to_peak(hold[:4].reshape(2, 2), phi_0, 1e-12)
         assert_close_to_peak(hold[4:6], (phi_2 - phi_1)[:, 1], 1e-12)
         assert_close_to_peak(hold[6:8], -phi_2[:, 1], 1e-12)
-
-
-# --------------------------------------------------------------------------- reference results
 
 
 @pytest.fixture(scope="module")
@@ -153,9 +148,6 @@ def test_published_peaks_of_a_frame(five_storeys):
         assert np.abs(history).max() == pytest.approx(book["published_peaks"][name]["total"], rel=3e-3)
 
 
-# --------------------------------------------------------------------------- the whole state space
-
-
 @pytest.mark.parametrize("damping", DAMPINGS)
 @pytest.mark.parametrize("seed", [0, 3, 6, 7])
 def test_against_full_matrix_exponential(seed, damping):
@@ -189,9 +181,6 @@ def test_sensor_subsets(sensors):
         some = simulate(chain, record, sensors=sensors, **kwargs)
         assert some["sensor"].values.tolist() == list(sensors)
         assert_close_to_peak(some.values, everything.values[list(sensors)], 1e-13)
-
-
-# --------------------------------------------------------------------------- one mass, closed forms
 
 
 @pytest.mark.parametrize("zeta", [0.0, 0.05, 1.0, 3.0])
@@ -239,9 +228,6 @@ def test_at_rest_at_the_first_sample():
     np.testing.assert_allclose(histories["relative_acceleration"][:, 0], -2.0, rtol=1e-14)
 
 
-# --------------------------------------------------------------------------- truncation
-
-
 @pytest.mark.parametrize("n_modes", [1, 4, 5])
 def test_truncation_and_feed_through(n_modes):
     """Kept modes one by one as oscillators, and J_c a_g = (1 - sum phi Gamma) a_g, Eq. (24)."""
@@ -268,9 +254,6 @@ def test_truncation_and_feed_through(n_modes):
     assert_close_to_peak(absolute - relative, np.tile(record.acceleration, (chain.n_dof, 1)), 1e-12)
     feed = np.abs(1 - carried).max()
     assert feed < 1e-12 if n_modes == chain.n_dof else feed > 1e-3
-
-
-# --------------------------------------------------------------------------- Newmark
 
 
 @pytest.mark.parametrize(("beta", "column"), [(0.25, "u_avg"), (1 / 6, "u_lin")])
@@ -313,9 +296,6 @@ def test_newmark_at_the_step_of_the_record_is_far_off(record, ten_storeys):
     if record.pga == pytest.approx(0.31882 * 9.81):  # El Centro, not its synthetic stand-in
         assert (round(errors.min(), 2), round(errors.max(), 2)) == (0.31, 0.86)
     assert errors.min() > 0.1
-
-
-# --------------------------------------------------------------------------- inside the kernel
 
 
 def kernel_arguments(**changes):
@@ -386,9 +366,6 @@ def test_kernel_refuses_to_read_outside_its_arrays(changes, match):
         chain_discrepancy(*kernel_arguments(**changes), np.zeros((2, 3)))
     with pytest.raises(ValueError, match="`observed` or the cotangent must have the shape"):
         chain_discrepancy(*kernel_arguments(), np.zeros((3, 2)))
-
-
-# --------------------------------------------------------------------------- what users get
 
 
 def test_result_is_labelled():

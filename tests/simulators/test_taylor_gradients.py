@@ -155,18 +155,3 @@ def test_particles_that_are_left_to_others(row, value, by_taylor_steps):
             *particle(parameters, k), *where, observed, weights[k]
         )
         np.testing.assert_allclose(found[1][k], alone[1], atol=1e-4 * np.abs(alone[1]).max())
-
-
-def test_a_sharpness_that_is_sought():
-    """Where some particles have another n, those with n = 1 and 2 have a derivative by it as well."""
-    parameters, where = inside("hysteretic", population("hysteretic", p=3)), shaken(n_times=20)
-    observed = noisy("hysteretic", parameters, where)
-    parameters[4][1, SHARPNESS, 0] = 2.3
-    before = kernels.PARTICLES["taylor gradients"]
-    ours = gradient("hysteretic", parameters, where, observed, np.ones((3, len(observed), 1)))
-    assert kernels.PARTICLES["taylor gradients"] == before + 3
-    for k in range(3):
-        own = particle(parameters, k)
-        cotangent = 2.0 * (KERNELS["hysteretic"]["response"](*own, *where) - observed) / observed.shape[1]
-        exact = KERNELS["hysteretic"]["response_gradient"](*own, *where, cotangent)[4][SHARPNESS]
-        np.testing.assert_allclose(ours[4][k, SHARPNESS], exact, atol=1e-4 * np.abs(exact).max())

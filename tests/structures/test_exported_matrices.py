@@ -121,9 +121,6 @@ def test_broken_files(tmp_path, name, text, match):
         pmf.read_matrices(tmp_path / name)
 
 
-# --- structures of them -----------------------------------------------------------------------------
-
-
 def exported(folder, factor, name, write=abaqus, suffix=".mtx"):
     path = folder / f"{name}{suffix}"
     write(path, frame(factor))

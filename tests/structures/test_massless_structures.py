@@ -19,8 +19,6 @@ THETA = np.array([1.0, 0.8, 0.3])
 kinds = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 arms = pytest.mark.parametrize("arm", [0.0, 0.4])
 
-# --------------------------------------------------------------------------- modes
-
 
 @kinds
 @arms
@@ -67,9 +65,6 @@ def test_inside_a_model():
     expected = simulate(beam.structure(THETA), record).values
     assert peak_error(mu.eval({theta: THETA}, mode=PLAIN), expected) < 1e-12
     assert np.isnan(mu.eval({theta: [0.0, 0.8, 0.3]}, mode=PLAIN)).all()
-
-
-# --------------------------------------------------------------------------- what is refused
 
 
 def chain_of(*masses):
