@@ -18,7 +18,8 @@ difference. Its tails are too light if a parameter's weight beyond the run's 5 o
 more than a hundred effective draws).
 
 What less than one in 10,000 draws of q_0 and one in a thousand climbs from the prior lead to is not found. So
-a part that one or two climbs alone led to is a reason to expect others, and a warning.
+a part that very few of all climbs have led to, those of the run and these, is a reason to expect others, and
+a warning, whether the run has found it or the search.
 """
 
 from collections.abc import Callable
@@ -43,6 +44,7 @@ MUCH_DENSER = 3.0  # density of what stands at a new mode over the fit's, in nat
 LEAST_RISE, STANDARD_ERRORS = 0.1, 4.0  # of the log evidence, above which something was missed
 # share of climbs that leaves doubt whether there are more parts, if no draw has led to one with that weight
 FEW_CLIMBS, MUCH = 0.02, 0.01
+HEAVY = 0.1  # share of the evidence of a mode that the run knows, which leaves the same doubt
 LEAST_TAIL, TAIL_ERRORS, LEAST_EFFECTIVE = 0.03, 4.5, 100.0
 LEAST_OF_FIT, OF_MODES = 0.1, 0.2  # of what the run knew, in the reference of the next; of its modes in that
 DIFFERENCE = 1e-5  # step of difference quotients, in prior standard deviations, of models without gradients
@@ -96,7 +98,7 @@ class CrossCheck(NamedTuple):
     fit : Mixture
         The widened fit to the run's draws.
     rare : bool
-        Whether so few climbs led to a part of some weight that there may well be others.
+        Whether so few climbs led to a part of some weight, known or new, that there may well be others.
     """
 
     effort: Effort
@@ -251,11 +253,12 @@ def cross_check(
     heaviest = heaviest[log_weights[heaviest] > -np.inf]
     if len(heaviest):
         add(*climb(scaled, (x[heaviest] - centre) / scale, lambda u: np.zeros(len(u), dtype=bool)))
-    n_heavy = len(modes)
+    n_heavy, rare = len(modes), False
     if effort.climbs:
         ends, values = climb(scaled, (from_prior[: effort.climbs] - centre) / scale, is_known)
         new = fit.log_density(centre + scale * ends) < known_from
         add(ends[new], values[new])
+        rare = reference is not None and was_found_by_chance(reference, ends)
 
     sources, points, values = [fit], [x], [value]
     for mode in modes:
@@ -271,10 +274,29 @@ def cross_check(
     densest = np.where((terms[1:] > terms[0] + MUCH_DENSER).any(axis=0), terms.argmax(axis=0), 0)
     shares = np.bincount(densest, weights, len(sources))[1:] / weights.sum()
     n_climbs = np.array([mode.n_climbs for mode in modes[n_heavy:]])
-    rare = bool(((shares[n_heavy:] > MUCH) & (n_climbs < FEW_CLIMBS * effort.climbs)).any())
     rise = rise - log_evidence
+    if rise > limit:
+        rare |= bool(((shares[n_heavy:] > MUCH) & (n_climbs < FEW_CLIMBS * effort.climbs)).any())
     of_modes = shares, light_tails, modes, centre, scale
     return CrossCheck(effort, float(rise), float(limit), *of_modes, fit, rare)
+
+
+def was_found_by_chance(reference: Reference, ends) -> bool:
+    """Whether few of the climbs that a run began with, and of those with ends (n, d), led to a heavy mode.
+
+    An end belongs to the mode whose normal distribution, times its evidence, is densest there.
+    """
+    if not reference.modes:
+        return False
+    logs = [
+        mode.log_evidence
+        - np.log(np.diag(mode.factor)).sum()
+        - 0.5 * (np.linalg.solve(mode.factor, (ends - mode.x).T) ** 2).sum(axis=0)
+        for mode in reference.modes
+    ]
+    counts = np.bincount(np.argmax(logs, axis=0), minlength=len(logs))
+    counts += [mode.n_climbs for mode in reference.modes]
+    return bool(((reference.mode_shares() > HEAVY) & (counts < FEW_CLIMBS * counts.sum())).any())
 
 
 def evidence(log_weights) -> tuple[float, float]:

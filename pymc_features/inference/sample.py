@@ -279,7 +279,7 @@ def cross_checked(idata, found, model, space, logp, thorough, rng, settings) -> 
         effort = affordable(thorough, size, spent, n_data, dear, n_differences)
         of_run = stats.attrs["log_evidence"], stats.attrs["log_evidence_se"]
         check = cross_check(source, draws, *of_run, effort, rng, found.reference)
-        rare |= check.missed and check.rare
+        rare |= check.rare
         if n_repeats == MOST_REPEATS or not check.missed:
             break
         found = found._replace(reference=check.reference(found.reference))

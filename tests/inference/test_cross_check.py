@@ -13,6 +13,7 @@ from scipy import stats
 
 import pymc_features as pmf
 from pymc_features.inference.cross_check import Density, Effort, cross_check, tails_are_light
+from pymc_features.smc.proposals.reference import Mode, Reference
 
 QUIET = {"progressbar": False, "cores": 1, "chains": 2}
 
@@ -193,3 +194,28 @@ def test_what_is_negligible_is_looked_at_once(log_weight):
     found = cross_check(density, rng.standard_normal((500, d)), 0.0, 0.01, Effort(500, 100), rng)
     assert not found.missed
     assert asked.count(2 * d) < 10
+
+
+@pytest.mark.parametrize(("around", "rare"), [([6.0], True), ([0.0, 6.0], False)])
+def test_a_heavy_mode_that_few_climbs_lead_to_leaves_doubt(around, rare):
+    """The run knows both halves of the posterior, and nothing is missed: but who knows what else there is."""
+    rng, centres = np.random.default_rng(2), np.array([np.zeros((1, 2)), np.full((1, 2), 6.0)])
+
+    def gradients(x):
+        away = x - centres
+        logs = np.log(0.25 / np.pi) - 0.5 * (away**2).sum(axis=2)
+        shares = np.exp(logs - np.logaddexp(*logs))[:, :, None]
+        return np.logaddexp(*logs), -(shares * away).sum(axis=0)
+
+    modes = [Mode(centre[0], np.eye(2), np.log(0.5), 1) for centre in centres]
+    draws = rng.standard_normal((500, 2)) + np.repeat(centres[:, 0], 250, axis=0)
+    prior = Density(
+        lambda x: gradients(x)[0],
+        gradients,
+        lambda n: rng.choice(around, (n, 1)) + rng.uniform(-0.5, 0.5, (n, 2)),
+    )
+    reference = Reference(modes, np.zeros(2), np.ones(2))
+    found = cross_check(prior, draws, 0.0, 0.01, Effort(500, 100), rng, reference)
+    assert not found.missed
+    assert found.rare == rare
+    assert ("less than 2 % of climbs" in found.advice(found.rare)) == rare
