@@ -1,6 +1,7 @@
 """Populations and chains on several processes or a cluster: the particles are those of one process."""
 
 import _thread
+import functools
 import logging
 import os
 import signal
@@ -163,17 +164,15 @@ class Here(ThreadPoolExecutor):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("run", [pmf.sample_smc, pmf.sample], ids=["sample_smc", "sample"])
-def test_the_particles_of_one_process(run, eager):
+def test_the_particles_of_one_process(eager):
     """Two chains at once, with gradients (`sample`), a product of matrices, two likelihoods, and data."""
     settings = {"model": two_nodes(), "chains": 2, "random_seed": 1, **QUIET}
-    settings |= {"stage_draws": 60} if run is pmf.sample_smc else {}
-    expected = run(60, cores=1, **settings)
-    with ThreadPoolExecutor(1) as pool:  # one process, as two have no more to say here
-        found = run(60, executor=pool, **settings)
-    assert same(found, expected)
-    for name in ("evaluations", "gradients", "beta"):
-        np.testing.assert_array_equal(found.sample_stats[name], expected.sample_stats[name])
+    with ThreadPoolExecutor(1) as pool, open_workers(pool) as workers:  # one process has all to say here
+        for run in (functools.partial(pmf.sample_smc, stage_draws=60), pmf.sample):
+            expected, found = run(60, cores=1, **settings), run(60, executor=workers, **settings)
+            assert same(found, expected)
+            for name in ("evaluations", "gradients", "beta"):
+                np.testing.assert_array_equal(found.sample_stats[name], expected.sample_stats[name])
 
 
 @pytest.mark.processes
