@@ -85,6 +85,8 @@ def test_every_likelihood_supports_the_same(kind, y, least_squares):
     widths = found["standard_deviation"].values[:2]
     np.testing.assert_allclose(widths, np.sqrt(np.diag(truth)), rtol=0.4)
     assert widths[0] > 2.0 * np.sqrt(white[0, 0])
+    claims = white.diagonal() / 0.01 * np.mean((y - SIGNALS @ estimate) ** 2)  # by independent residuals
+    np.testing.assert_allclose(found["n_eff_parameter"][:2], 4 * N_TIMES * claims / widths**2, rtol=0.02)
     reference = pmf.effective_samples(at(1.0, 2.0), model=declare("NORM", y))
     np.testing.assert_allclose(found["covariance"][:2, :2], reference["covariance"][:2, :2], rtol=0.01)
     np.testing.assert_allclose(found["n_eff"], reference["n_eff"], rtol=0.01)
