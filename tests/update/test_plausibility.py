@@ -54,14 +54,9 @@ BUILDING = {
         "all peaks lie at 0.5 times what is expected. Is the sampling step, 0.04 s, wrong by two (0.02 s)? "
         "Or stiffness over mass by 4.",
     ),
-    "step halved": (slips.stretched(0.5), "Is the sampling step, 0.01 s, wrong by two (0.02 s)?"),
     "base inverted": (
         slips.inverted(1),
         "Channel 'floor3' is inverted against 'base': low-frequency gain -1.1",
-    ),
-    "roof inverted": (
-        slips.inverted(4),
-        "Channel 'roof' is inverted against 'base': low-frequency gain -1.2",
     ),
     "floor3 and roof swapped": (
         slips.swapped(2, 4),
@@ -100,17 +95,6 @@ BUILDING = {
     ),
 }
 TABLE = {
-    "truth excluded": (
-        slips.text(
-            ("mu = 6.0, sigma = 0.2", "mu = 6.9, sigma = 0.05"),
-            ("mu = 6.2, sigma = 0.2", "mu = 7.0, sigma = 0.05"),
-            ("mu = 6.3, sigma = 0.2", "mu = 7.1, sigma = 0.05"),
-        ),
-        "The priors expect f1 between 5.76 and 6.06 Hz, the data peak at 3.7 Hz (floor3, floor2, floor1). "
-        "k1, k2 and k3, which scale it, would have to be 0.39 times as large, all together.",
-    ),
-    "step doubled": (slips.stretched(2.0), "Is the sampling step, 0.02 s, wrong by two (0.01 s)?"),
-    "floor2 inverted": (slips.inverted(3), "Channel 'floor2' is inverted against 'base'"),
     "floor2 and floor3 swapped": (
         slips.swapped(3, 4),
         "floor2 and floor3 may be swapped: the modes that the priors expect explain 90 % of the sensors' "
@@ -120,10 +104,6 @@ TABLE = {
         slips.every(10),
         "The data are sampled at 10 Hz: 2.6 times in a period of f1 (3.83 Hz), and f2 (11.2 Hz) and f3 (16.5 "
         "Hz) lie above half of that. That tells next to nothing of them. Take files of a higher rate.",
-    ),
-    "0.6 s": (
-        slips.some(500, 560),
-        "The record lasts 0.6 s, 2.3 periods of the first mode (3.83 Hz by the priors)",
     ),
 }
 CASES = [("building", *case) for case in BUILDING.items()] + [("table", *case) for case in TABLE.items()]
@@ -171,9 +151,8 @@ def test_right_data_get_no_word(tmp_path):
     assert np.mean(holds) > 0.9
 
 
-@pytest.mark.parametrize("example", ["building", "table"])
-def test_examples_get_no_word(tmp_path, example):
-    told, problem = told_by(slips.planted(tmp_path, example, slips.nothing))
+def test_the_example_gets_no_word(tmp_path):
+    told, problem = told_by(slips.planted(tmp_path, "table", slips.nothing))
     assert not told
     assert set(problem.measured.compared.peaks) >= {0, 1}
 
@@ -199,7 +178,7 @@ def test_command_prints_both_sides_and_says_what_it_checked(tmp_path, capsys):
     )
     assert "An acceleration of 1 g would move the structure by 0.184 m." in said
     assert re.search(r"f1 +1\.14 to 1\.49 +1\.222 +2\.26 to 7\.72 +2\.9 to 3\.1 +roof", said)
-    assert "nothing was found wrong" in said
+    assert "nothing was found wrong" in said and "warning" not in said
 
 
 def test_nothing_is_called_right_that_was_not_checked(tmp_path, capsys):
@@ -235,17 +214,18 @@ def test_signs_of_displacements_are_told_by_the_modes(tmp_path, scale, named):
     assert checked == "not checked against each other: relative_displacement is no motion of the base"
 
 
-def chain(**values):
+def chain(k, zeta=0.02):
     """Two storeys."""
-    return SpringMassChain([2.0, 2.0], [values["k"]] * 2, ModalDamping(values.get("zeta", 0.02)))
+    return SpringMassChain([2.0, 2.0], [k] * 2, ModalDamping(zeta))
 
 
-def normal(middle, width):
-    return lambda n, seed: middle * np.exp(width * np.random.default_rng(seed).standard_normal(n))
+def modes_at(k, **others):
+    """Modes of a prior that is a few per cent wide."""
 
+    def around(middle):
+        return lambda n, seed: middle * np.exp(0.05 * np.random.default_rng(seed).standard_normal(n))
 
-def modes_at(k, width=0.05, **others):
-    draws = {"k": normal(k, width)} | {name: normal(value, 0.1) for name, value in others.items()}
+    draws = {name: around(value) for name, value in ({"k": k} | others).items()}
     return prior_modes(lambda **v: chain(**v), draws, chain(k=k, **others), lambda one: one.modes())
 
 
@@ -261,11 +241,9 @@ def test_modes_of_draws_are_those_of_the_structure():
 
 
 def test_identified_frequencies_beyond_the_priors():
-    prior, right = modes_at(8e6), chain(k=8e3).modes().natural_frequencies
-    assert of_modes(right, prior) == [
-        "The priors expect f1 between 180 and 212 Hz, the data peak at 6.22 Hz: a factor 1000 in mass or "
-        "stiffness. Are the masses in t? They are expected in kg."
-    ] or re.match(r"The priors expect f1 between .* Are the masses in t\?", of_modes(right, prior)[0])
+    right = chain(k=8e3).modes().natural_frequencies
+    told = of_modes(right, modes_at(8e6))[0]
+    assert re.match(r"The priors expect f1 between .* peak at 6.22 Hz: .* Are the masses in t\?", told)
     assert of_modes(right, modes_at(8e3)) == []
     assert "k, which scales it, would have to be 0.5 times as large." in of_modes(right, modes_at(1.6e4))[0]
 
@@ -277,16 +255,12 @@ def test_damping_by_a_coefficient_is_named_with_its_unit():
     assert of_priors(modes_at(8e3, zeta=0.03), {"k": "N/m", "zeta": "-"}) == []
 
 
-@pytest.mark.parametrize("n", [2, 6, 40])
-def test_short_and_silent_records_have_no_resonance(n):
-    rng = np.random.default_rng(0)
-    values = rng.standard_normal((3, n))
-    channels = xr.DataArray(values, {"sensor": ["base", "a", "b"]}, ("sensor", "time"))
-    assert resonances(spectra_of(channels, 0.01)) == []
-    assert resonances(spectra_of(0.0 * channels, 0.01)) == []
-
-
-def test_rows_of_a_record_without_resonances():
+def test_short_and_silent_records_have_no_resonance():
+    for n in (2, 6, 40):
+        values = np.random.default_rng(0).standard_normal((3, n))
+        channels = xr.DataArray(values, {"sensor": ["base", "a", "b"]}, ("sensor", "time"))
+        assert resonances(spectra_of(channels, 0.01)) == []
+        assert resonances(spectra_of(0.0 * channels, 0.01)) == []
     rows = mode_rows(Compared([], "", {}, [], None, False, None, None, modes_at(8e3), 0.01, 10.0))
     assert [row[0] for row in rows] == ["f1", "f2"]
     assert all(row[2] == "" and row[1] for row in rows)
