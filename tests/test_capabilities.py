@@ -34,14 +34,12 @@ CAPABILITIES = {  # file: what a user can do: the test
         "structures: small motions": "test_a_nonlinear_chain_has_the_modes_of_small_motions",
         "modal: rigid modes": "test_a_rigid_body_has_frequency_zero_and_no_infinite_gradient",
     },
-    "simulators/test_linear_requests.py": {
-        "response: outputs=": "test_outputs_are_combinations",
-        "response: forces": "test_forces_against_lsim",
-    },
     "simulators/test_quantities.py": {
         "response: quantity=": "test_drift_and_shear_by_hand",
     },
     "simulators/test_linear.py": {
+        "response: outputs=": "test_outputs_are_combinations",
+        "response: forces": "test_forces_against_lsim",
         "response: n_modes=": "test_chain_with_truncated_modes_and_output_steps",
         "response: rigid-body motion": "test_rigid_bodies_are_found",
         "response: coupled damping": "test_coupled_damping_against_matrix_exponential",

@@ -1,13 +1,17 @@
-"""Populations of nonlinear chains by Taylor steps: single particles, linear limits, what is let go."""
+"""Populations of nonlinear chains by Taylor steps: statistics, gradients, and spans of fine records."""
 
 import numpy as np
 import pytest
+from scipy.integrate import cumulative_simpson
 
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.families import FAMILIES as FAMILY
 from pymc_features.simulators.nonlinear import kernels
-from pymc_features.simulators.oscillators.arguments import NO_DIRECT
+from pymc_features.simulators.nonlinear.law import SERIES
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation
+from pymc_features.simulators.taylor import ground, layout
+from pymc_features.simulators.taylor.ground import DEGREE, Ground, projection
 from support.kernels import flat_kernels, population_discrepancy, population_gradient, response_gradient
 from support.reference import misfit_statistics
 from support.yielding import tight_solution
@@ -116,8 +120,7 @@ def test_linear_limit(family, quantity, modal):
     ours = kernels["population_discrepancy"](*linear, values, *where, data)
     np.testing.assert_allclose(ours, population_discrepancy(*linear, *where, data), rtol=1e-6)
     weights = np.random.default_rng(6).normal(size=(PARTICLES, len(data)))
-    given = FAMILY[family].assemble([*linear, values, *where[:4], NO_DIRECT, *where[4:6]], quantity)
-    together = FAMILY[family].kernels["population_gradient"](*given, 0.5 * response, weights[..., None])
+    together = gradient(family, (*linear, values), where, 0.5 * response, weights[..., None])
     alone = kernels["response_gradient"](*particle((*linear, values), 0), *where, response)
     pairs = [
         *zip(together[:4], population_gradient(*linear, *where, 0.5 * response, weights), strict=True),
@@ -232,3 +235,262 @@ def test_any_sharpness_beside_scipy(reach):
         upper = tight_solution(particle(parameters, k), *where[:2])["absolute_acceleration"][1]
         np.testing.assert_allclose(sums[k, 0, 0], np.mean(upper**2), rtol=1e-6)
         assert abs(abs(sums[k, 0, 3]) - abs(upper[-1])) < 2e-6 * abs(upper).max()
+
+
+STEP = 3e-6  # of a parameter: small enough for the choices that a march makes
+ROUNDING = 3e-15  # of L
+SHARPNESS = 2  # row of the law
+SMOOTH = {name: case for name, case in CASES.items() if "sharpness" not in case[0]}  # n = 1 and 2
+
+
+def gradient(family, parameters, where, observed, weights):
+    *record, sensors, n_modes, quantity = where
+    given = FAMILY[family].assemble([*parameters, *record, NO_DIRECT, sensors, n_modes], quantity)
+    return FAMILY[family].kernels["population_gradient"](*given, observed, weights)
+
+
+def inside(family, parameters):
+    """With a row for each particle, and away from the bounds of all parameters."""
+    count = len(parameters[1])
+    parameters = [np.repeat(p, count, axis=0) if len(p) == 1 else p.copy() for p in parameters]
+    if family == "hysteretic":
+        parameters[4][:, 4] *= 0.8
+    if not parameters[3].any():
+        return parameters
+    parameters[2][:] = 0.05, 2e-4
+    return parameters
+
+
+def noisy(family, parameters, where, seed=2):
+    response = history(family, parameters, where, 0)
+    return response + 0.3 * np.abs(response).max() * np.random.default_rng(seed).normal(size=response.shape)
+
+
+def is_any(values):
+    """Whether a sharpness is neither one nor two, so that it has a derivative."""
+    return not np.isin(values[:, SHARPNESS], (1.0, 2.0)).all()
+
+
+def entries(family, parameters):
+    """All that can be differentiated: number and index of a parameter, and the row that it is compared in."""
+    for p, values in enumerate(parameters):
+        for i in np.ndindex(values.shape[1:]):
+            fixed = p == 4 and family == "hysteretic" and i[0] == SHARPNESS and not is_any(values)
+            if not fixed and values.any():
+                yield p, i, (p, i[0] if p in (2, 4) else 0)
+
+
+def errors_of_gradient(family, parameters, where, observed, weights):
+    """Largest difference to central differences of the same march, beside the largest of its row."""
+    ours = gradient(family, parameters, where, observed, weights)
+
+    def weighted(p, change):
+        moved = [*parameters[:p], parameters[p] + change, *parameters[p + 1 :]]
+        sums = KERNELS[family]["population_misfit"](*moved, *where, observed)
+        return (sums[..., : weights.shape[2]] * weights).sum(axis=(1, 2))
+
+    size = np.abs(weighted(0, 0.0))
+    errors, sizes = {}, {}
+    for p, i, row in entries(family, parameters):
+        change = np.zeros_like(parameters[p])
+        change[:, *i] = STEP * parameters[p][:, *i]
+        coarse = weighted(p, change) - weighted(p, -change)
+        fine = weighted(p, 0.5 * change) - weighted(p, -0.5 * change)
+        exact = (8.0 * fine - coarse) / 6.0  # over the change
+        jump = np.abs(coarse - 2.0 * fine)  # 1e-9 of them, and more where the number of steps changes
+        error = np.abs(exact - (ours[p] * change)[:, *i]) - ROUNDING * size - jump
+        errors[row] = np.maximum(errors.get(row, 0.0), error)
+        sizes[row] = np.maximum(sizes.get(row, 0.0), np.abs(exact))
+    return {row: errors[row] / sizes[row] for row in errors}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("case", SMOOTH)
+def test_gradient_is_that_of_the_march(family, case):
+    """1e-6 of the largest derivative by a parameter of its kind, in each particle, hardly yielding or far."""
+    chains, request = SMOOTH[case]
+    parameters, where = inside(family, population(family, **chains)), shaken(**request)
+    observed = noisy(family, parameters, where)
+    several = case == "modal damping, coarse velocity"
+    if not several:
+        observed[0, 4:9] = np.nan
+    parameters[1][1] *= 4.0  # stays almost linear
+    weights = np.random.default_rng(5).normal(size=(PARTICLES, len(observed), 4 if several else 1))
+    before = kernels.PARTICLES["taylor gradients"]
+    errors = errors_of_gradient(family, parameters, where, observed, weights)
+    assert kernels.PARTICLES["taylor gradients"] == before + len(weights)
+    assert max(e.max() for e in errors.values()) < 1e-6, errors
+
+
+@pytest.mark.parametrize(
+    ("sharpness", "factor", "median", "most"),
+    [(1.2, 8.0, 2e-5, 2e-4), (1.5, 0.25, 2e-5, 4e-4), (3.0, 0.25, 1e-7, 1e-5), (4.5, 1.0, 2e-7, 1e-5)],
+)
+def test_any_sharpness(sharpness, median, most, factor):
+    """Of n as well; where |z|^n is not smooth at zero, what the choice of polynomials adds is left out.
+
+    The bounds are for central differences of the same march. Derivatives by the dashpots' coefficients are
+    left out: they may nearly vanish in a particle, whose error is then up to 1e-3 of them.
+    """
+    chains = inside("hysteretic", population("hysteretic", sharpness=(sharpness,)))
+    chains[4][:, 0] *= factor
+    chains[1][1] *= 4.0  # stays almost linear
+    where = shaken()
+    observed = noisy("hysteretic", chains, where)
+    weights = np.random.default_rng(5).normal(size=(PARTICLES, len(observed), 1))
+    before = kernels.PARTICLES["taylor gradients"]
+    errors = errors_of_gradient("hysteretic", chains, where, observed, weights)
+    assert kernels.PARTICLES["taylor gradients"] == before + len(weights)
+    assert (4, SHARPNESS) in errors
+    errors = {row: e for row, e in errors.items() if row[0] != 2}
+    assert max(np.median(e) for e in errors.values()) < median, errors
+    assert max(e.max() for e in errors.values()) < most, errors
+
+
+@pytest.mark.parametrize("case", ["acceleration", "fine record"])
+def test_a_short_tape(case, monkeypatch):
+    """The march is repeated for what the tape has no room for: the same numbers."""
+    parameters, where = population("hysteretic"), shaken(**SMOOTH[case][1])
+    observed = noisy("hysteretic", parameters, where)
+    weights = np.ones((PARTICLES, len(observed), 1))
+    whole = gradient("hysteretic", parameters, where, observed, weights)
+    monkeypatch.setattr(layout, "ROOM", 1)
+    in_parts = gradient("hysteretic", parameters, where, observed, weights)
+    for a, b in zip(whole, in_parts, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("row", "value", "by_taylor_steps"), [(0, 1e-12, 0), (SHARPNESS, 7.3, 2), (4, 0.9, 2)]
+)
+def test_particles_that_are_left_to_others(row, value, by_taylor_steps):
+    """One that is given up, with its neighbours; sharper than Taylor steps serve; no structure."""
+    parameters, where = inside("hysteretic", population("hysteretic", p=3)), shaken(n_times=20)
+    observed = noisy("hysteretic", parameters, where)
+    weights = np.ones((3, len(observed), 1))
+    parameters[4][1, row, 0] = value
+    before = kernels.PARTICLES["taylor gradients"]
+    found = gradient("hysteretic", parameters, where, observed, weights)
+    assert kernels.PARTICLES["taylor gradients"] == before + by_taylor_steps
+    assert np.isfinite(found[1][[0, 2]]).all()
+    assert np.isfinite(found[1][1]).all() == (row == SHARPNESS)
+    for k in np.flatnonzero(np.isfinite(found[1]).all(axis=1)):
+        alone = KERNELS["hysteretic"]["misfit_gradient"](
+            *particle(parameters, k), *where, observed, weights[k]
+        )
+        np.testing.assert_allclose(found[1][k], alone[1], atol=1e-4 * np.abs(alone[1]).max())
+
+
+RATE = 50.0  # [rad/s], about that of the chains
+
+
+@pytest.fixture
+def set_tolerance(monkeypatch):
+    """Change what may be lost in all spans that are found from then on."""
+
+    def change(tolerance, excess=ground.EXCESS):
+        monkeypatch.setattr(ground, "TOLERANCE", tolerance)
+        monkeypatch.setattr(ground, "EXCESS", excess)
+        ground.ground_from.cache_clear()
+
+    yield change
+    ground.ground_from.cache_clear()
+
+
+def fine(n_times=601, **request):
+    return shaken(n_times=n_times, stride=10, dt=0.001, **request)
+
+
+def cut(where, rate=RATE, series=None):
+    """The spans of a record, for the recurrence that is named first unless another is given."""
+    return Ground(Excitation(*where[:4])).spans(rate, series or next(iter(SERIES.values())))
+
+
+@pytest.mark.parametrize("width", [2, 10])
+def test_projection(width):
+    """The remainder has no moments, and the matrix gives its second integral."""
+    samples = np.random.default_rng(0).normal(size=width + 1)
+    coefficients, remainder = projection(width)
+    times = np.linspace(0.0, 1.0, 400 * width + 1)
+    r = np.interp(times * width, np.arange(width + 1), samples)
+    r = r - np.polynomial.polynomial.polyval(times, samples @ coefficients)
+    for k in range(DEGREE + 1):
+        assert abs(cumulative_simpson(r * times**k, x=times)[-1]) < 1e-6
+    twice = cumulative_simpson(cumulative_simpson(r, x=times, initial=0.0), x=times, initial=0.0)
+    np.testing.assert_allclose(samples @ remainder, twice[200::200], rtol=0, atol=1e-7)
+    of_a_line = np.arange(width + 1.0) @ coefficients
+    np.testing.assert_allclose(of_a_line, np.eye(DEGREE + 1)[1] * width, atol=1e-11)
+
+
+def test_spans_follow_one_another():
+    """Each begins where the one before ends, and those of one step are the record itself."""
+    where = fine(band=40.0, rough=10.0)
+    acceleration, found = where[0], cut(where)
+    widths = found.widths[:-1]
+    assert {1, 10} <= set(widths)
+    starts = np.concatenate([[0], np.cumsum(widths)])
+    np.testing.assert_array_equal(starts[found.first], np.arange(0, 601, 10))
+    np.testing.assert_array_equal(found.ground, acceleration[::10])
+    single = np.flatnonzero(widths == 1)
+    rises = acceleration[starts[single] + 1] - acceleration[starts[single]]
+    np.testing.assert_array_equal(found.loads[single, :2].T, [acceleration[starts[single]], rises])
+    assert (found.loads[single, 2:] == 0.0).all()
+
+
+def test_spans_shorten_for_stiff_chains_and_rough_records():
+    smooth, rough = fine(band=40.0), fine()
+    counts = [len(cut(smooth, rate).widths) for rate in (RATE, 10.0 * RATE, 1000.0 * RATE)]
+    assert counts[0] == 61
+    assert counts[0] < counts[1] < counts[2] == 601
+    assert (cut(rough).widths == 1).all()
+    assert (cut((0.0 * smooth[0], *smooth[1:])).widths == 10).all()
+    for request in ({"stride": 1}, {"stride": 4, "substeps": 2}):  # every sample, or shorter steps
+        assert (cut(shaken(band=1.0, dt=0.001, n_times=81, **request)).widths == 1).all()
+
+
+def ends(family, parameters, where, lengths):
+    """Responses at the ends of shorter records (length, particle, sensor)."""
+    found = []
+    for n_times in lengths:
+        data = np.zeros((len(where[4]), n_times // 10 + 1))
+        request = (where[0][:n_times], *where[1:])
+        found.append(-KERNELS[family]["population_misfit"](*parameters, *request, data)[..., 3])
+    return np.array(found)
+
+
+def differences(family, parameters, where, set_tolerance, *tolerance):
+    """Of root mean squares of misfits, and of responses, between spans and single samples, over the peak."""
+    exact = history(family, parameters, where, 0)
+    peak, lengths = np.abs(exact).max(), range(201, 602, 50)
+    observed = exact + 0.1 * peak * np.random.default_rng(3).normal(size=exact.shape)
+    found = []
+    for values in ((-1.0,), tolerance):
+        set_tolerance(*values)
+        errors = KERNELS[family]["population_discrepancy"](*parameters, *where, observed)
+        found.append((np.sqrt(errors), ends(family, parameters, where, lengths)))
+    return [np.abs(a - b).max() / peak for a, b in zip(*found, strict=True)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_smooth_record(family, set_tolerance):
+    """Band-limited at 40 Hz: one span to an output."""
+    where = fine(band=40.0, scale=20.0)
+    of_errors, of_responses = differences(family, population(family), where, set_tolerance, ground.TOLERANCE)
+    assert (cut(where).widths[:-1] == 10).mean() > 0.9
+    assert 0.0 < of_errors < 1e-6
+    assert of_responses < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_rough_record(family, set_tolerance):
+    """White: single samples, and long spans would be wrong."""
+    parameters, where = list(population(family)), fine(scale=20.0)
+    parameters[1] = 60.0 * parameters[1]
+    if family == "hysteretic":
+        parameters[4][:, 0] /= 60.0
+    differ = differences(family, parameters, where, set_tolerance, ground.TOLERANCE)
+    assert max(differ) < 1e-6
+    wrong = differences(family, parameters, where, set_tolerance, np.inf, np.inf)
+    assert max(wrong) > 1e-5
