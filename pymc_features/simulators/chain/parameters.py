@@ -81,9 +81,7 @@ def check_history(history, excitation, wanted):
 def drifts_of(shapes):
     """Drifts (n, k) of the springs in the columns of displacements (n, k)."""
     drifts = shapes.copy()
-    for i in range(
-        1, shapes.shape[0]
-    ):  # operations on slices compile long, see `copy_entries`
+    for i in range(1, shapes.shape[0]):  # operations on slices compile long, see `copy_entries`
         for r in range(shapes.shape[1]):
             drifts[i, r] -= shapes[i - 1, r]
     return drifts
