@@ -127,7 +127,7 @@ def test_more_modes_than_climbs_find_are_said():
     with pytest.warns(
         pmf.exceptions.SamplingWarning, match=r"climbs found \d+ modes.*one that no other found"
     ):
-        pmf.sample(200, model=model, chains=1, check=None, **QUIET)
+        pmf.sample(200, model=model, chains=1, **QUIET)
 
 
 def test_runs_that_disagree_and_heavy_weights_are_said():

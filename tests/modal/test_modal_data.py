@@ -59,6 +59,7 @@ VALUES = {
     "`channels` must have different names, got roof more than once": (F, SHAPES, ["roof", " roof"]),
     "`channels` must have a name each, got none at index 1": (F, SHAPES, ["roof", " "]),
     "`channels` must be left out without `shapes`, got 1 names": (F, None, ["roof"]),
+    r"must have shape \(mode, channel\) = \(3, 2\), got \(2, 3\). Tr": (F, np.transpose(SHAPES), NAMES),
     r"must have shape \(mode, channel\) = \(3, 1\), got \(3, 2\). Pass a name": (F, SHAPES, ["roof"]),
     "`shapes` must be finite, or NaN where nothing was measured": (F, [[1.0, np.inf], *SHAPES[1:]], NAMES),
     "an entry that is not zero in each mode, got none in": (F, [SHAPES[0], [0.0, NAN], SHAPES[2]], NAMES),
