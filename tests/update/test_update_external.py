@@ -1,7 +1,6 @@
 """`[external]`: a program in place of a structure, against the posterior on a grid."""
 
 import shutil
-import tomllib
 
 import numpy as np
 import pytest
@@ -50,6 +49,7 @@ sigma = "s"
 draws = 200
 cores = 2
 """
+MODEL = CONFIG[CONFIG.index("[external]") : CONFIG.index("[priors]")]
 
 
 def rings(k, c):
@@ -128,15 +128,12 @@ def test_another_program_is_another_problem(folder):
 
 
 def test_runs_are_kept_and_found(folder, capsys):
+    """One that fails is named."""
     for words in ("The program took", "The program came from the cache"):
         assert cli.main(["check", str(folder / "update.toml")]) == 0
         assert words in capsys.readouterr().err
     assert (folder / "simulations.sqlite").exists()
-
-
-def test_a_program_that_fails_is_named_with_its_reason(folder, capsys):
-    text = CONFIG.replace("mu = 8.3", "mu = 9.3")
-    (folder / "update.toml").write_text(text)
+    (folder / "update.toml").write_text(CONFIG.replace("mu = 8.3", "mu = 9.3"))
     assert cli.main(["check", str(folder / "update.toml")]) == 2
     assert "`external.program` must run at the medians of the priors" in capsys.readouterr().err
 
@@ -144,6 +141,7 @@ def test_a_program_that_fails_is_named_with_its_reason(folder, capsys):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        (MODEL, "", "`structure` must be given: a table with `type`"),
         ("[data]", '[modal]\nfile = "modes.csv"\nsigma_f = 0.01\n[data]', "`modal` must be left out with"),
         ('units = { k = "N/m", c = "N s/m" }', 'units = { k = "N/m" }', "`priors.c` must be used"),
         ('kinds = ["NORM"]', 'kinds = ["CAL"]', "must not have CAL with .external., for programs"),
@@ -161,16 +159,6 @@ def test_broken_sections_name_the_key(folder, old, new, message):
     assert old in CONFIG
     (folder / "update.toml").write_text(CONFIG.replace(old, new, 1))
     with pytest.raises(ConfigError, match=message):
-        read_problem(folder / "update.toml")
-
-
-def test_a_file_without_structure_and_program(folder):
-    """The file without any section of the model says which one to give."""
-    raw = tomllib.loads(CONFIG)
-    assert "external" in raw
-    text = CONFIG[: CONFIG.index("[external]")] + CONFIG[CONFIG.index("[priors]") :]
-    (folder / "update.toml").write_text(text)
-    with pytest.raises(ConfigError, match="`structure` must be given: a table with `type`"):
         read_problem(folder / "update.toml")
 
 
