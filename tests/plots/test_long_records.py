@@ -42,7 +42,7 @@ def test_envelope_holds_every_sample():
     time = 0.5 * np.arange(1001)
     values = np.random.default_rng(1).standard_normal(1001)
     middle, low, high = envelope(time, values, 5.0)
-    assert (middle.size, middle[0], middle[-1]) == (100, 0.0, 500.0)
+    assert (middle.size, middle[0], middle[1], middle[-1]) == (100, 0.0, 7.5, 500.0)
     np.testing.assert_allclose(np.diff(middle)[1:-1], 5.0)
     columns = [values[10 * k : 10 * k + 11] for k in range(100)]
     np.testing.assert_array_equal([low, high], [[c.min() for c in columns], [c.max() for c in columns]])
