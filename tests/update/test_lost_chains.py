@@ -51,13 +51,9 @@ def test_a_chain_in_a_mode_without_weight_is_left_out():
     assert (stats.attrs["ess"], stats.attrs["advice"]) == (70.0, "")
 
 
-@pytest.mark.parametrize(
-    ("lower", "width"),
-    [(0.0, 1.0), (15.0, 1.0), (30.0, 10.0)],
-    ids=["as high", "a little lower", "lower, but of as much mass"],
-)
+@pytest.mark.parametrize(("lower", "width"), [(0.0, 1.0), (15.0, 1.0), (30.0, 10.0)])
 def test_modes_with_weight_are_kept(lower, width):
-    """Ten widths of 10 outweigh exp(-23)."""
+    """As high, a little lower, or lower but of as much mass: ten widths of 10 outweigh exp(-23)."""
     idata = drawn(width=width)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -65,14 +61,11 @@ def test_modes_with_weight_are_kept(lower, width):
 
 
 def test_most_chains_lost():
-    with pytest.warns(
-        ChainsDisagreeWarning, match=r"chain 0 by 40, .*Rely on none, for 3 of 4 went astray\."
-    ):
+    """One chain alone has nothing to be compared with."""
+    told = r"chain 0 by 40, .*Rely on none, for 3 of 4 went astray\."
+    with pytest.warns(ChainsDisagreeWarning, match=told):
         kept = without_lost_chains(drawn(-PLACES), two_modes(lower=40.0))
     assert kept["posterior"]["chain"].values.tolist() == [2]
-
-
-def test_one_chain_has_nothing_to_be_compared_with():
     idata = drawn(PLACES[:1])
     assert without_lost_chains(idata, None) is idata
 
