@@ -57,13 +57,6 @@ def test_file_is_read_and_is_the_building_that_it_states(path, true):
     assert abs(np.corrcoef(noise[:, 1:], noise[:, :-1])[:3, 3:]).max() < 0.1  # white
 
 
-def test_check_finds_no_fault(path, capsys):
-    assert cli.main(["check", str(path)]) == 0
-    said = capsys.readouterr().err
-    assert "nothing was found wrong" in said
-    assert "warning" not in said
-
-
 @pytest.mark.slow
 def test_update_finds_the_truth(path, true, tmp_path, capsys):
     """In intervals of a few per mille to per cent, which do not hold the medians of the priors."""
