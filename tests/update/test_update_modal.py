@@ -123,6 +123,7 @@ BROKEN = {  # what is said: what is changed, into what
     "`modal.n_modes` must be from the 3 modes identified to the 3 of the": (PHI, f"{PHI}\nn_modes = 2"),
     "`modal.scale` must have factors that are not zero for": (PHI, f"{PHI}\nscale = {{ attic = -1.0 }}"),
     "`modal.channels` must be a table of channel names to degrees of freedom,": ("roof = 2", 'roof = "top"'),
+    "`modal` must have positive degrees of freedom as `density`, got -1": (PHI, f"{PHI}\ndensity = -1.0"),
     '`modal.density` must be "EXP", "TN" or degrees of freedom,': (PHI, f'{PHI}\ndensity = "GAMMA"'),
     "`modal` must have `sigma_phi` only with shapes, got it with shapes =": (CHANNELS, "shapes = false"),
     "`modal.channels` must be left out without shapes, got it. bare.csv has": ('"modes.csv"', '"bare.csv"'),

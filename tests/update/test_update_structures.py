@@ -253,6 +253,7 @@ REFUSED = {  # what is said: what is changed, into what
     "`structure.stiffness` must be a number, the name of a prior, or": (TAPER, '{ bottom = "k_base" }'),
     "`structure.stiffness` must have positive whole numbers as counts": (TAPER, '{ groups = [["p", -10]] }'),
     "`structure.stiffness` must have pairs [VALUE, COUNT] in `groups`, got": (TAPER, '{ groups = ["p"] }'),
+    "`structure.stiffness` must have pairs [VALUE, COUNT] in `groups`, got [].": (TAPER, "{ groups = [] }"),
     "`structure.stiffness` must have one value of `times`": (TAPER, '{ groups = [["p", 4]], times = [1] }'),
     "`structure.stiffness` must have the keys groups,": (TAPER, '{ groups = [["p", 4]], exponent = 1.0 }'),
     "`structure.damping.ratios` must be a number,": ("ratios = 0.02", "ratios = { base = 0.01, top = 0.02 }"),
