@@ -75,7 +75,12 @@ VARIANTS = [  # sections, and what is different there
         "data": {"files": "gaps.csv", "gaps": "leave_out", "delay": {"floor3": 0.0025}},
         "likelihood": {"kinds": ["NORM", "EXP", "ABC"], "epsilon": 5.0},
     },
-    {"processing": {"trim": [0.0, 3.0], "decimate": 2, "detrend": {"window": [0.0, 0.5]}}},
+    {
+        "processing": {
+            **{"trim": [0.0, 3.0], "decimate": 2, "detrend": {"window": [0.0, 0.5]}},
+            "check_band": [2.0, 9.0],
+        }
+    },
     {"likelihood": {"kinds": ["CAL", "EXP"]}, "modal": {**OF_MODES, "labels": ["first", "second"]}},
     {**ALONE, "modal": SETUPS},
     {
