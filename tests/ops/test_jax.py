@@ -122,6 +122,17 @@ def test_log_densities_of_models(likelihood, request):
     assert np.isneginf(logp[7]) or np.isnan(logp[7])
 
 
+def test_gradient_by_the_data(quick_compilation):
+    """Data that are no numbers, such as a record with unknown offset, count."""
+    with pm.Model() as model:
+        offset = pm.Flat("offset")
+        mu = response(three_storeys(100.0), RECORD)
+        pm.Potential("misfit", pmf.mean_square_discrepancy(mu, MEASURED + offset).sum())
+    _, [[expected]] = by_pymc(model, [[0.5]])
+    [gradient] = jax.jit(jax.grad(log_density(model)))([np.array(0.5)])
+    assert gradient == pytest.approx(expected, rel=LIMIT)
+
+
 @pytest.mark.filterwarnings("ignore:The RandomType SharedVariables")  # PyTensor copies generators for JAX
 def test_correlated_draws():
     """Covariance of 20000 draws within five standard errors; a false alarm in 6000 seeds."""

@@ -303,6 +303,7 @@ def test_data_must_fit_the_response(pulse, measured):
 @pytest.mark.parametrize(
     ("settings", "error", "match"),
     [
+        ({"quantity": "base_shear", "sensors": [0]}, ValueError, "`sensors` must be left out for the base s"),
         ({"outputs": pt.matrix()}, TypeError, "`outputs` must be a matrix of numbers, got TensorVariable"),
         ({"dt": 0.03}, ValueError, "`dt` must"),
         ({"sensors": [5]}, ValueError, "`sensors` must"),

@@ -363,6 +363,7 @@ REFUSED_ARGUMENTS_TYPES = {
     "`damping` must be a matrix or a Damping, got NoneType. Pass C in N s/m": {"damping": None},
     "`damping` must be a matrix of real numbers, got ndarray": {"damping": 1j * np.eye(2)},
     "`stiffness` must be a matrix of real numbers, got str. Pass an array": {"stiffness": "K"},
+    "`stiffness` must be a matrix of real numbers": {"stiffness": sparse.eye_array(2) * 1j},
     "`influence` must be an array of numbers, got str": {"influence": "all"},
     "got TensorVariable. .* they cannot be random": {"influence": pt.vector()},
     "what is random goes into the `theta` of an AffineStructure": {"mass": pt.vector()},
