@@ -264,10 +264,10 @@ class Asked:
 
     def finished(self, sums) -> tuple:
         """Sums over time as e_j, which they are, or as gradients."""
-        kernels = self.family.kernels
-        return (
-            tuple(sums) if self.weights is None else kernels["gradient_of_sums"](*self.arguments, tuple(sums))
-        )
+        sums = tuple(map(np.ascontiguousarray, sums))  # for each layout of each the kernel is compiled anew
+        if self.weights is None:
+            return sums
+        return self.family.kernels["gradient_of_sums"](*self.arguments, sums)
 
     def agrees(self, table) -> bool:
         """Whether table and march give the same for a few of the structures."""
