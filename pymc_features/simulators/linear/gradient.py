@@ -70,9 +70,10 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
             data = writable(observed), writable(weights)
             add_dense_gradients(kernel, a.inputs, a.outputs, *data, sums)
             return sums
+        alone = kernel.one_of(0)  # of one axis, as of a single structure: no other machine code
         for p in range(count):
             own, part = (tuple(x[p % len(x)] for x in arrays) for arrays in (kernel.random, sums))
-            add_alone(a, kernel, own, observed, weights[p], part)
+            add_alone(a, alone, own, observed, weights[p], part)
         return sums
     is_done = np.zeros(count, dtype=bool)
     if in_complex_modes(a._replace(parameters=first), weights):
