@@ -47,9 +47,9 @@ def blank_figures(request, monkeypatch):
         monkeypatch.setattr(Figure, "savefig", blank)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser():
-    """Chromium, for tests marked by `needs_browser`."""
+    """Chromium, for tests marked by `needs_browser`; pages that move use a processor while they are open."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as started:
