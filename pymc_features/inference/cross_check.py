@@ -284,9 +284,10 @@ def cross_check(
 def was_found_by_chance(reference: Reference, ends) -> bool:
     """Whether few of the climbs that a run began with, and of those with ends (n, d), led to a heavy mode.
 
-    An end belongs to the mode whose normal distribution, times its evidence, is densest there.
+    An end belongs to the mode whose normal distribution, times its evidence, is densest there. Modes that
+    draws of a check have led to leave no such doubt.
     """
-    if not reference.modes:
+    if not reference.modes or reference.fit is not None:
         return False
     logs = [
         mode.log_evidence

@@ -149,7 +149,7 @@ def check_each(channels: xr.DataArray) -> None:
     """Warn of suspicious channels (sensor, time) in m/s^2, gaps left out; refuse constant ones."""
     names = [repr(str(name)) for name in sensor_names(channels)]
     values = np.asarray(channels.values, dtype=np.float64)
-    whole, gaps = filled(values)
+    gaps = np.isnan(values)
     measured = [row[~missing] for row, missing in zip(values, gaps, strict=True)] if gaps.any() else values
     for name, history in zip(names, measured, strict=True):
         if not history.size or history.max() == history.min():
@@ -169,6 +169,7 @@ def check_each(channels: xr.DataArray) -> None:
                     "twice. Leave one out."
                 )
         # a first sample of exact zeros before noise or offsets is the empty packet of a logger
+        whole = filled(values)[0]
         later = whole[:, 1:21]
         zero = (whole[:, 0] == 0.0) & (later != 0.0).all(axis=1) & (later.shape[1] == 20)
         if zero.all() and (np.abs(whole[:, 1]) > 4.0 * np.median(np.abs(np.diff(later)), axis=1)).any():

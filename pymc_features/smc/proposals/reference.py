@@ -80,7 +80,7 @@ class Reference:
     """
 
     def __init__(self, modes, centre, scale, maps=None, fit=None, shares=None):
-        self.modes, self.centre, self.scale = modes, centre, scale
+        self.modes, self.centre, self.scale, self.fit = modes, centre, scale, fit
         self.maps = [None] * len(modes) if maps is None else maps
         components = [part for pair in zip(modes, self.maps, strict=True) for part in self.parts_of(*pair)]
         shares = 0.9 * self.mode_shares() + 0.1 / len(modes) if shares is None else shares
