@@ -13,6 +13,7 @@ from pymc.vartypes import discrete_types
 from pytensor.graph.replace import graph_replace
 
 from pymc_features._checks import as_numbers, check_finite, check_group, check_mapping, message
+from pymc_features.smc.density.rows import ONE_CALL
 
 
 def check_continuous(model, purpose: str):
@@ -110,7 +111,9 @@ def to_unconstrained(model, posterior) -> np.ndarray:
     function, rvs = forward_transform(model), model.free_RVs
     columns = [posterior[rv.name].values.astype(rv.dtype) for rv in rvs]
     chains, draws = columns[0].shape[:2]
-    return np.array([[function(*(c[i, j] for c in columns)) for j in range(draws)] for i in range(chains)])
+    with ONE_CALL:
+        rows = [[function(*(c[i, j] for c in columns)) for j in range(draws)] for i in range(chains)]
+    return np.array(rows)
 
 
 class Unconstrained:

@@ -56,8 +56,8 @@ def test_response_and_derivatives(name):
 
     observed = expected + 0.3 * np.abs(expected).max() * rng.normal(size=expected.shape)
     statistics = misfit_statistics(observed - expected)
-    np.testing.assert_allclose(linear_misfit(*arguments, observed), statistics, rtol=1e-9)
-    np.testing.assert_allclose(linear_discrepancy(*arguments, observed), statistics[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(linear_misfit(*arguments, observed), statistics, rtol=1e-11)
+    np.testing.assert_allclose(linear_discrepancy(*arguments, observed), statistics[:, 0], rtol=1e-11)
     of_statistics = rng.uniform(1.0, 2.0, statistics.shape)
     found = directions @ np.concatenate(linear_misfit_gradient(*arguments, observed, of_statistics))
     # quadratic in the response: central differences of any step have no error
