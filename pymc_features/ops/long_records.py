@@ -11,7 +11,9 @@ from pytensor.graph.basic import Constant
 from pymc_features.ops.base import prepared
 from pymc_features.simulators.long_records.misfits import Asked, Tables, from_table
 
-FEWEST_STEPS = 2000  # of the recursion, for a population: below, the march is as fast
+# steps of the recursion, for a population: with fewer, 25 us for ten masses, the march is done before the
+# functions for tables, 10 s of them, are compiled
+FEWEST_STEPS = 4000
 FEWEST_ALONE = 4000  # samples, for one structure, whose modes do not fill the lanes of a vector
 MOST_STRIDE = 8  # steps between outputs: what a table costs grows with their square
 

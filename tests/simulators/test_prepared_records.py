@@ -9,6 +9,7 @@ from pytensor.graph.replace import vectorize_graph
 from scipy.signal import firwin, lfilter
 
 import pymc_features as pmf
+from pymc_features.simulators.excitation import chain_frequencies
 
 pytestmark = pytest.mark.slow
 
@@ -114,3 +115,14 @@ def test_a_model_has_the_response_of_simulate(case, quantity):
     h = 1e-5
     differences = [(run(AT + h * d)[1] - run(AT - h * d)[1]) / (2 * h) for d in np.eye(2)]
     np.testing.assert_allclose(gradient, differences, rtol=limit, atol=limit * abs(gradient).max())
+
+
+def test_the_frequencies_that_decide_how_finely_a_record_is_marched():
+    """A uniform chain in closed form, and one with a rigid part, whose lowest one keeps all its digits."""
+    n, rows = 7, np.ones((2, 7))
+    rows[1, 3] = np.nan
+    uniform = 2.0 * np.sqrt(900.0) * np.sin(np.pi * (2 * np.arange(n) + 1) / (4 * n + 2)) / (2.0 * np.pi)
+    found = chain_frequencies(rows, np.full((1, n), 900.0))
+    np.testing.assert_allclose(found, [uniform, np.full(n, np.nan)], rtol=1e-13)
+    lowest = chain_frequencies(np.array([[2.0, 3.0]]), np.array([[40.0, 1e22]]))[0, 0]
+    np.testing.assert_allclose(lowest, np.sqrt(40.0 / 5.0) / (2.0 * np.pi), rtol=1e-13)

@@ -36,6 +36,12 @@ SENSORS = [3, 0, 1]
 SPRINGS = np.random.default_rng(2).uniform(0.7, 1.4, (PARTICLES, 4))
 
 
+@pytest.fixture(autouse=True)
+def tables_of_short_records(monkeypatch):
+    """Have tables of records that are shorter than those which a run would wait for."""
+    monkeypatch.setattr(long_records, "FEWEST_STEPS", N_TIMES)
+
+
 def noise(shape, seed=0):
     return np.random.default_rng(seed).normal(size=shape)
 
