@@ -24,6 +24,7 @@ from pymc_features.ops.response import (
     response_node,
     response_step,
     structural_node,
+    was_simulated,
 )
 from pymc_features.ops.time_axis import check_dims, known_dims, name_the_time_axis
 from pymc_features.structures.base import as_tensor
@@ -64,4 +65,5 @@ __all__ = [
     "response_node",
     "response_step",
     "structural_node",
+    "was_simulated",
 ]

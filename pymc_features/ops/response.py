@@ -27,6 +27,7 @@ from pymc_features.ops.gradient import ResponseGradient, gradient_op
 from pymc_features.records import CyclicTest, DynamicLoad, Loading, Record
 from pymc_features.simulators import (
     HISTORIES,
+    SIMULATED,
     at_outputs,
     checked_request,
     force_share,
@@ -220,6 +221,12 @@ def structural_node(variable: TensorVariable) -> Apply | None:
     """Return the first response of a structure among what is behind a variable; None where there is none."""
     nodes = (v.owner for v in ancestors([variable]) if v.owner is not None)
     return next((node for node in nodes if isinstance(node.op, StructuralResponse)), None)
+
+
+def was_simulated(variable: TensorVariable) -> bool:
+    """Whether structures of the family behind a variable were simulated in this process, or there is none."""
+    node = structural_node(variable)
+    return node is None or node.op.family in SIMULATED
 
 
 def frequencies_behind(variable: TensorVariable) -> tuple[list[Variable], Callable] | None:

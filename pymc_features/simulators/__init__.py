@@ -54,7 +54,7 @@ from pymc_features.simulators.quantities import (
     rows_of,
 )
 from pymc_features.simulators.request import CODES, UNITS, request
-from pymc_features.simulators.simulate import simulate, times_of
+from pymc_features.simulators.simulate import SIMULATED, simulate, times_of
 from pymc_features.simulators.spring_forces import integration_error, spring_forces
 
 __all__ = [
@@ -62,6 +62,7 @@ __all__ = [
     "FAMILIES",
     "HISTORIES",
     "QUANTITIES",
+    "SIMULATED",
     "ChainParameters",
     "Excitation",
     "Outputs",

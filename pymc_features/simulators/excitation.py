@@ -14,7 +14,7 @@ import numpy as np
 from pymc_features import band_limited
 from pymc_features.exceptions import TooStiffError
 from pymc_features.simulators.families import FAMILIES, NONLINEAR
-from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation, Outputs
+from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation
 from pymc_features.simulators.request import Request
 
 FINE, MIDDLE, HIGHEST = 0.03, 0.15, 1.0  # of the sampling rate: frequencies from where factors change
@@ -54,30 +54,10 @@ def refinement(frequencies: np.ndarray, dt: float) -> int:
 
 def frequencies_of(structure, parameters, constants, n_modes: int) -> np.ndarray:
     """Natural frequencies (structure, m) [Hz] of parameters with one more axis in front."""
-    if structure.family != "linear":
-        return chain_frequencies(*parameters[:2])[:, :n_modes]
     family = FAMILIES[structure.family]
     given = [np.array(x, dtype=np.float64, order="C") for x in parameters]
     given += [np.require(x, requirements="W") for x in constants]
-    wanted = Outputs(np.zeros(1, dtype=np.int64), n_modes, 0)
-    return np.asarray(family.modal["modes"](family.arguments(*given), wanted)[0])
-
-
-def chain_frequencies(mass, stiffness) -> np.ndarray:
-    """Natural frequencies (structure, n) [Hz] of chains, each right to its digits; NaN where there is none.
-
-    With drifts D u the stiffness is D' k D, so that they are singular values of k^(1/2) D M^(-1/2), which is
-    bidiagonal (Demmel & Kahan, SIAM J. Sci. Stat. Comput. 11, 1990).
-    """
-    mass, stiffness = np.broadcast_arrays(mass, stiffness)
-    is_chain = ((mass > 0) & (mass < np.inf) & (stiffness > 0) & (stiffness < np.inf)).all(axis=1)
-    heavy, stiff = np.sqrt(mass[is_chain]), np.sqrt(stiffness[is_chain])
-    matrices, i = np.zeros((*heavy.shape, heavy.shape[1])), np.arange(heavy.shape[1])
-    matrices[:, i, i] = stiff / heavy
-    matrices[:, i[:-1], i[1:]] = -stiff[:, 1:] / heavy[:, :-1]
-    frequencies = np.full(mass.shape, np.nan)
-    frequencies[is_chain] = np.linalg.svd(matrices, compute_uv=False)[:, ::-1] / (2.0 * np.pi)
-    return frequencies
+    return family.modal["frequencies"](family.arguments(*given), n_modes)
 
 
 def refined_request(structure, record, asked: Request) -> Request:

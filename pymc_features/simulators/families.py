@@ -64,12 +64,17 @@ from pymc_features.simulators.linear.response import (
     linear_systems,
 )
 from pymc_features.simulators.modal.chain import (
+    chain_frequencies,
     chain_modes_gradient,
     chain_population_modes,
     small_motion_gradient,
     small_motion_modes,
 )
-from pymc_features.simulators.modal.linear import linear_modes_gradient, linear_population_modes
+from pymc_features.simulators.modal.linear import (
+    linear_frequencies,
+    linear_modes_gradient,
+    linear_population_modes,
+)
 from pymc_features.simulators.nonlinear.bouc_wen.law import BoucWen
 from pymc_features.simulators.nonlinear.duffing import Cubic
 from pymc_features.simulators.nonlinear.kernels import nonlinear_kernels
@@ -168,6 +173,7 @@ def count(dims: str) -> int:
 
 NONLINEAR = {"hysteretic": BoucWen, "duffing": Cubic}  # the law of the springs
 SPRINGS = {"mass": "n", "stiffness": "n", "rayleigh": "2", "ratios": "n"}
+OF_CHAINS = {"frequencies": chain_frequencies}
 
 FAMILIES = {
     "chain": Family(
@@ -190,7 +196,7 @@ FAMILIES = {
             "gradient_of_sums": chain_gradient_of_sums,
         },
         compiled=True,
-        modal={"modes": chain_population_modes, "modes_gradient": chain_modes_gradient},
+        modal=OF_CHAINS | {"modes": chain_population_modes, "modes_gradient": chain_modes_gradient},
     ),
     "linear": Family(
         LinearParameters,
@@ -221,11 +227,15 @@ FAMILIES = {
         integers=("rows", "starts"),
         excitation="d,t",
         sensors="s,n",
-        modal={"modes": linear_population_modes, "modes_gradient": linear_modes_gradient},
+        modal={
+            "frequencies": linear_frequencies,
+            "modes": linear_population_modes,
+            "modes_gradient": linear_modes_gradient,
+        },
     ),
     "specimen": Family(SpecimenParameters, {"law": "l"}, OF_SPECIMENS),
 }
-SMALL_MOTIONS = {"modes": small_motion_modes, "modes_gradient": small_motion_gradient}
+SMALL_MOTIONS = OF_CHAINS | {"modes": small_motion_modes, "modes_gradient": small_motion_gradient}
 FAMILIES |= {
     name: Family(
         NonlinearParameters,

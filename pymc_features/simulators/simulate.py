@@ -23,6 +23,8 @@ from pymc_features.simulators.quantities import (
     rows_of,
 )
 
+SIMULATED = set()  # families of which this process has made data
+
 if TYPE_CHECKING:
     from pymc_features.records import CyclicTest, Loading, Record
     from pymc_features.structures import Structure
@@ -137,6 +139,7 @@ def times_of(record, asked, n_outputs: int) -> dict[str, tuple]:
 
 def respond(structure, record, asked, rows) -> np.ndarray:
     """Response (row, time) of degrees of freedom (row,), or of combinations (row, n) of all of them."""
+    SIMULATED.add(structure.family)
     family = FAMILIES[structure.family]
     combined = rows.ndim == 2 and not family.takes_outputs
     picked = np.arange(structure.n_dof) if combined else family.rows(rows, structure.n_dof)

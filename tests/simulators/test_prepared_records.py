@@ -9,7 +9,7 @@ from pytensor.graph.replace import vectorize_graph
 from scipy.signal import firwin, lfilter
 
 import pymc_features as pmf
-from pymc_features.simulators.excitation import chain_frequencies
+from pymc_features.simulators.excitation import frequencies_of
 
 pytestmark = pytest.mark.slow
 
@@ -119,10 +119,11 @@ def test_a_model_has_the_response_of_simulate(case, quantity):
 
 def test_the_frequencies_that_decide_how_finely_a_record_is_marched():
     """A uniform chain in closed form, and one with a rigid part, whose lowest one keeps all its digits."""
-    n, rows = 7, np.ones((2, 7))
+    n, rows, rigid = 7, np.ones((2, 7)), pmf.SpringMassChain([2.0, 3.0], [40.0, 1e22])
     rows[1, 3] = np.nan
-    uniform = 2.0 * np.sqrt(900.0) * np.sin(np.pi * (2 * np.arange(n) + 1) / (4 * n + 2)) / (2.0 * np.pi)
-    found = chain_frequencies(rows, np.full((1, n), 900.0))
-    np.testing.assert_allclose(found, [uniform, np.full(n, np.nan)], rtol=1e-13)
-    lowest = chain_frequencies(np.array([[2.0, 3.0]]), np.array([[40.0, 1e22]]))[0, 0]
+    uniform = 2.0 * np.sqrt(900.0) * np.sin(np.pi * (2 * np.arange(4) + 1) / (4 * n + 2)) / (2.0 * np.pi)
+    _, stiffness, *damping = pmf.SpringMassChain(np.ones(n), 900.0).parameters()
+    found = frequencies_of(rigid, (rows, *(np.asarray(x)[None] for x in (stiffness, *damping))), (), 4)
+    np.testing.assert_allclose(found, [uniform, np.full(4, np.nan)], rtol=1e-13)
+    lowest = frequencies_of(rigid, [np.asarray(x)[None] for x in rigid.parameters()], (), 2)[0, 0]
     np.testing.assert_allclose(lowest, np.sqrt(40.0 / 5.0) / (2.0 * np.pi), rtol=1e-13)

@@ -7,5 +7,7 @@ count.
 modes           frequencies (p, m) [Hz], shapes (p, m, s) and damping ratios (p, m) [-]
 modes_gradient  takes a `Cotangent` of these, returns gradients in the shapes of the parameters
 
+frequencies     natural frequencies (p, m) [Hz] alone, without anything compiled; takes the number of modes
+
 Rows that describe no structure are NaN.
 """

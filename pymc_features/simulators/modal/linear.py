@@ -6,9 +6,12 @@ those without damping and the ratios phi' C phi / (2 omega), as of `LinearStruct
 Modes of dense structures with classical damping, and their gradients, in compiled code.
 """
 
+import contextlib
+
 import numpy as np
 from scipy import sparse
 
+from pymc_features.algebra import massless_motions, natural_modes
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.linear.arguments import Arguments, n_particles
@@ -24,7 +27,7 @@ from pymc_features.simulators.modal.perturbation import (
     reduced_cotangents,
     write_modes,
 )
-from pymc_features.simulators.oscillators.arguments import Excitation
+from pymc_features.simulators.oscillators.arguments import Excitation, Outputs
 
 
 @jit
@@ -109,6 +112,26 @@ def linear_population_modes(parameters, wanted) -> tuple:
             shapes[p] = (own.wanted.sensors @ system.shapes).T
             ratios[p] = [damping_ratio(*pair) for pair in zip(system.omega, damping, strict=True)]
     return frequencies, shapes, ratios
+
+
+def linear_frequencies(parameters, n_modes) -> np.ndarray:
+    """Natural frequencies (p, m) [Hz], infinite beyond the rank of M; nothing is compiled for them."""
+    omega = np.full((n_particles(parameters), n_modes), np.nan)
+    if parameters.is_dense:
+        for p in range(len(omega)):
+            own = parameters.one_of(p)
+            mass, stiffness = own.assemble(own.mass), own.assemble(own.stiffness)
+            massless = massless_motions(mass) if own.is_finite else None
+            if massless is None:
+                continue
+            with contextlib.suppress(ValueError, RuntimeError):  # of what is no structure
+                found, _ = natural_modes(mass, stiffness, min(n_modes, massless.rank), massless=massless)
+                omega[p] = np.append(found, np.full(n_modes - found.size, np.inf))
+    else:
+        wanted = Outputs(np.zeros(0, dtype=np.int64), n_modes, 0)
+        for p, _, system in solved(arguments(parameters, wanted), np.arange(len(omega))):
+            omega[p] = np.nan if system is None else system.omega
+    return omega / (2.0 * np.pi)
 
 
 def linear_modes_gradient(parameters, wanted, cotangent) -> tuple:
