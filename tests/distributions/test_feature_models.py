@@ -14,6 +14,7 @@ from scipy import optimize, special
 import pymc_features as pmf
 from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.likelihoods import HISTORY_LIKELIHOODS
+from pymc_features.simulators import SIMULATED
 from support.graphs import LIGHT
 from support.likelihoods import EVERY, EVERY_FEATURE, declare, equation, evaluate, random_data
 from support.structures import noise_record, with_first_spring, with_noise
@@ -209,7 +210,10 @@ def test_the_number_of_sensors_that_is_enough(likelihood, n_sensors, power):
 
 @EVERY_FEATURE
 def test_noise_free_data_are_warned_of(likelihood, pulse):
-    """At the model's initial point the response equals the data; with noise or a fixed sigma: silence."""
+    """At the model's initial point the response equals the data; with noise or a fixed sigma: silence.
+
+    And for data that this process has not made, for which nothing is compiled.
+    """
     chain = pmf.SpringMassChain(np.ones(6), 100.0, pmf.RayleighDamping(0.1, 1e-3))
     exact = pmf.simulate(chain, pulse).values
 
@@ -225,6 +229,8 @@ def test_noise_free_data_are_warned_of(likelihood, pulse):
     declared(exact, 0.5)
     noisy = exact + 0.01 * np.random.default_rng(0).normal(size=exact.shape)
     declared(noisy, None)
+    SIMULATED.clear()
+    declared(exact, None)
 
 
 def test_sigma_mpv_is_the_mode_of_the_exp_likelihood():

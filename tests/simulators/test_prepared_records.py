@@ -27,21 +27,20 @@ SUPPORTS = pmf.Loading(motion(1, 2), DT)
 FORCES = pmf.Loading(motion(2, 1), DT, kind="force", matrix=[[0.0], [1.0], [3.0]])
 SPRING = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
 BASE = np.array([[2.0e3, -900.0, 0.0], [-900.0, 1700.0, -800.0], [0.0, -800.0, 800.0]])
+DAMPING = pmf.RayleighDamping(0.3, 1e-3)
 DASHPOT = np.diag([3.0, 0.5, 0.2]) + 0.3 * SPRING
 
 
 def chain(theta, top=800.0, damping=None):
     stiffness = [900.0, 700.0 * theta[0], top * theta[1]]
-    return pmf.SpringMassChain(
-        np.array([1.0, 1.2, 0.9]), stiffness, damping or pmf.RayleighDamping(0.3, 1e-3)
-    )
+    return pmf.SpringMassChain(np.array([1.0, 1.2, 0.9]), stiffness, damping or DAMPING)
 
 
 def affine(theta, damping=None, influence=None, stiff=1.0):
     return pmf.AffineStructure(
         np.diag([1.0, 1.2, 0.0]),
         stiffness=BASE,
-        damping=pmf.RayleighDamping(0.3, 1e-3) if damping is None else damping,
+        damping=DAMPING if damping is None else damping,
         mass_terms=[None, np.diag([0.0, 0.0, 0.9])],
         stiffness_terms=[300.0 * stiff * SPRING, None],
         influence=influence,
@@ -53,7 +52,7 @@ def hysteretic(theta):
     return pmf.HystereticChain(
         np.array([1.0, 1.2, 0.9]),
         [900.0, 700.0 * theta[0], 800.0 * theta[1]],
-        pmf.RayleighDamping(0.3, 1e-3),
+        DAMPING,
         yield_displacement=2e-3,
         post_yield_ratio=0.1,
         sharpness=2.0,
@@ -119,10 +118,10 @@ def test_a_model_has_the_response_of_simulate(case, quantity):
 
 def test_the_frequencies_that_decide_how_finely_a_record_is_marched():
     """A uniform chain in closed form, and one with a rigid part, whose lowest one keeps all its digits."""
-    n, rows, rigid = 7, np.ones((2, 7)), pmf.SpringMassChain([2.0, 3.0], [40.0, 1e22])
+    n, rows, rigid = 7, np.ones((2, 7)), pmf.SpringMassChain([2.0, 3.0], [40.0, 1e22], DAMPING)
     rows[1, 3] = np.nan
     uniform = 2.0 * np.sqrt(900.0) * np.sin(np.pi * (2 * np.arange(4) + 1) / (4 * n + 2)) / (2.0 * np.pi)
-    _, stiffness, *damping = pmf.SpringMassChain(np.ones(n), 900.0).parameters()
+    _, stiffness, *damping = pmf.SpringMassChain(np.ones(n), 900.0, DAMPING).parameters()
     found = frequencies_of(rigid, (rows, *(np.asarray(x)[None] for x in (stiffness, *damping))), (), 4)
     np.testing.assert_allclose(found, [uniform, np.full(4, np.nan)], rtol=1e-13)
     lowest = frequencies_of(rigid, [np.asarray(x)[None] for x in rigid.parameters()], (), 2)[0, 0]
