@@ -42,6 +42,7 @@ LAST = ["test_jax.py", "test_pages.py", "test_recipes.py", "test_notebooks.py", 
 
 KERNELS = "simulators", "dynamics", "ops"  # whose tests compile most kernels
 YIELDING = re.compile("cyclic|hysteretic|nonlinear|spans|springs|taylor")  # few parts in common
+CROSS_CHECKED = {"inference", "documents", "test_building_example.py"}
 FEW_KERNELS = {"io", "identification", "signals", "modal", "external", "events"}
 FEW_KERNELS |= {"test_layout.py", "test_odd_arguments.py", "test_cli.py", "test_packaging.py"}
 
@@ -104,13 +105,19 @@ def quick_mode(all_rewrites):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
-    """Tests, and their fixtures, compile quickly; examples and `default_mode` as users do."""
+    """Tests, and their fixtures, compile quickly; examples and `default_mode` as users do.
+
+    The check behind each run of `sample`, two fifths of it, is for the tests of the sampler and of the pages.
+    """
     import pytensor
 
     if isinstance(item, pytest.DoctestItem) or item.get_closest_marker("default_mode"):
         return (yield)
     all_rewrites = any(item.get_closest_marker(name) for name in ("all_rewrites", "statistical"))
-    with pytensor.config.change_flags(mode=quick_mode(all_rewrites)):
+    sampler = sys.modules.get("pymc_features.inference.sample")
+    with pytensor.config.change_flags(mode=quick_mode(all_rewrites)), pytest.MonkeyPatch.context() as patch:
+        if sampler and not of(item.path, CROSS_CHECKED):
+            patch.setattr(sampler, "cross_checked", lambda idata, *_: idata)
         return (yield)
 
 
