@@ -75,8 +75,7 @@ def fitted(seed, upper) -> Peak:
     inside = (min(1.0, upper - 1e-3) - LOWEST) / (upper - LOWEST)
     start = np.array([logit(inside), 1.0, 1.0, np.log(LEVEL * np.sqrt(np.mean(response**2)))])
     fit = climb_likelihood(predictions, start)
-    peak = peak_at(fit)
-    return peak.measured_from_bounds(peak.near_bounds())
+    return peak_at(fit.measured_from_bounds(peak_at(fit).near_bounds()))
 
 
 def bounded(seed, upper) -> Bounded:

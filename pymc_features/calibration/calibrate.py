@@ -153,8 +153,8 @@ def calibrate(
     predictions = Predictions(model)
     peaks = distinct_peaks(predictions, idata, model_error, rng)
     near = np.any([peak.near_bounds() for peak in peaks], axis=0)
-    curves = [curved(predictions, peak.measured_from_bounds(near)) for peak in peaks]
-    peaks, expansions = map(list, zip(*curves, strict=True))
+    peaks = [peak_at(peak.fit.measured_from_bounds(near), model_error) for peak in peaks]
+    peaks, expansions = map(list, zip(*(curved(predictions, peak) for peak in peaks), strict=True))
     if base_noise is not None:
         peaks = [peak.with_base_noise(predictions, base_noise) for peak in peaks]
     compiled = settings.get("compile_kwargs") or {}

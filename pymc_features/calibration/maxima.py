@@ -71,13 +71,6 @@ class Peak(NamedTuple):
         near = (self.fit.pushing != 0) | (of_response & (room < BOUNDED))
         return (self.fit.coordinates.sides > 0) & near
 
-    def measured_from_bounds(self, near) -> "Peak":
-        """Take coordinates where some parameters (d,) are measured from a bound."""
-        fit, ratio = self.fit.measured_from_bounds(near)
-        result, square = self.sandwich, np.outer(ratio, ratio)
-        matrices = ("information", "variability", "of_response")
-        return Peak(fit, result._replace(**{x: getattr(result, x) * square for x in matrices}))
-
     def with_base_noise(self, predictions, sd: float) -> "Peak":
         """Make the peak at least as wide, in every direction, as white noise on the base does [m/s^2]."""
         noise, result = of_base_noise(predictions, self.fit, sd), self.sandwich
@@ -202,8 +195,7 @@ def climb_likelihood(predictions, z) -> Fit:
             values = predictions(fit.coordinates.unconstrained(w))
             if (height := log_likelihood(values)) > fit.height:
                 here, damping, last = values, damping / 10.0, length
-                pairs = zip(fit.events, here, strict=True)
-                events = [e._replace(value=v, residuals=v.residuals) for e, v in pairs]
+                events = [e._replace(value=v) for e, v in zip(fit.events, here, strict=True)]
                 fit = fit._replace(w=w, height=height, events=events)
                 continue
             if moved == 0.0:
@@ -237,7 +229,7 @@ def bounded(fit: Fit, start) -> Fit:
     step = ratio * newton(fit.information, fit.score, 0.0, (-np.inf, np.inf))
     beside = np.where(sides == 2, low < BESIDE, fit.z < start - MUCH)
     crosses = (sides > 0) & ~near & (beside & (step < -low) | (high < BESIDE) & (step > high))
-    return fit.measured_from_bounds(near | crosses)[0] if crosses.any() else fit
+    return fit.measured_from_bounds(near | crosses) if crosses.any() else fit
 
 
 def learnt(second, step, change, total):

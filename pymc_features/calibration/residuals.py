@@ -214,10 +214,14 @@ class Event(NamedTuple):
     """One likelihood at a point with derivatives by coordinates w, see `Coordinates`."""
 
     value: Comparison
-    residuals: np.ndarray  # r (sensor, time)
     sensitivities: np.ndarray  # S = -dr / dw at constant scale (sensor, time, parameter)
     of_scale: np.ndarray  # d ln s / dw (sensor, parameter)
     frequencies: np.ndarray | None = None  # natural ones [Hz] of the structure behind it; None without one
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """r (sensor, time)."""
+        return self.value.residuals
 
     def whole(self, series):
         """Series (sensor, time, ...) with what stands in for them in gaps.
@@ -249,7 +253,7 @@ class Event(NamedTuple):
     def of_sensor(self, j) -> "Event":
         """What one sensor alone tells of the response."""
         value = Comparison(*(x[[j]] for x in self.value[:5]), *self.value[5:])
-        return Event(value, self.residuals[[j]], self.sensitivities[[j]], 0.0 * self.of_scale[[j]])
+        return Event(value, self.sensitivities[[j]], 0.0 * self.of_scale[[j]])
 
 
 def mirrored(gaps) -> np.ndarray:
@@ -304,15 +308,15 @@ class Fit(NamedTuple):
         at_low, at_high = self.w - low < EDGE, high - self.w < EDGE
         return np.where(at_low & (score < 0) | at_high & (score > 0), score, 0.0)
 
-    def measured_from_bounds(self, near) -> tuple["Fit", np.ndarray]:
-        """Measure some parameters (d,) of the point from a bound; also old changes over new (d,)."""
+    def measured_from_bounds(self, near) -> "Fit":
+        """Measure some parameters (d,) of the point from a bound."""
         new, z = self.coordinates._replace(near=near & (self.coordinates.sides > 0)), self.z
         ratio = self.coordinates.slopes(z) / new.slopes(z)
         events = [
             e._replace(sensitivities=e.sensitivities * ratio, of_scale=e.of_scale * ratio)
             for e in self.events
         ]
-        return self._replace(coordinates=new, w=np.clip(new.of(z), *new.limits), events=events), ratio
+        return self._replace(coordinates=new, w=np.clip(new.of(z), *new.limits), events=events)
 
 
 class Predictions:
@@ -374,5 +378,5 @@ def events_at(predictions, w, steps, here, coordinates=None, central=True) -> li
             np.stack([getattr(a, name) - getattr(b, name) for a, b in ends], axis=-1) / (up - down)
             for name in ("mu", "log_scale")
         )
-        events.append(Event(value, value.residuals, value.scaled(mu), log_scale))
+        events.append(Event(value, value.scaled(mu), log_scale))
     return events

@@ -508,7 +508,7 @@ def calibrated(step: Step) -> Reference:
     value = Comparison(step.response(theta), step.data.values, sigma, n_times, step=step.dt).by_sensor()
     slopes = np.stack([slope, np.zeros_like(slope)], axis=-1)
     of_scale = np.tile([0.0, of_sigma], (n_sensors, 1))
-    event = Event(value, value.residuals, slopes, of_scale, step.frequencies(theta))
+    event = Event(value, slopes, of_scale, step.frequencies(theta))
     curvature = norm.c * curve.curvature * (of_theta / sigma) ** 2
     information = np.diag([curvature, 2.0 * norm.m * of_sigma**2])
     precision = sandwich([event], model_error=None)._replace(information=information).precision

@@ -54,7 +54,7 @@ def event_of(residuals, sensitivities, response, frequencies=None):
     """Residuals (sensor, time), NaN in gaps, of a fit, and how they change with the parameters."""
     value = Comparison(response, response + residuals, 1.0, 1.0, step=DT).by_sensor()
     none = np.zeros((len(residuals), sensitivities.shape[-1]))
-    return Event(value, value.residuals, sensitivities, none, frequencies)
+    return Event(value, sensitivities, none, frequencies)
 
 
 def least_squares(e, s):
