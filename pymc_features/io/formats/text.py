@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.io.reading.labels import BRACKETS, Label, known_factor, labels_with_brackets, unit_of
+from pymc_features.io.reading.labels import BRACKETS, WORD, Label, known_factor, unit_of
 from pymc_features.io.reading.lines import Lines, not_a_number, to_number
 from pymc_features.io.reading.recording import Columns, Format, Recording, Request, clock_column, recording_of
 
@@ -234,7 +234,7 @@ def _one_column(lines: Lines, first: int, header, layout: Layout) -> Layout:
     rows = [split(line, ",") for number, line in islice(_rows(lines, first), SAMPLED)]
     plain = all(len(row) == 2 and not set(".eE") & set("".join(row)) for row in rows)
     labels = [line for _, line, comment in header if not comment]
-    single = bool(labels) and len(split(labels[-1], ",")) == 1 and len(labels_with_brackets(labels[-1])) == 1
+    single = bool(labels) and len(split(labels[-1], ",")) == 1 and len(WORD.findall(labels[-1])) == 1
     zeros = any(row[1][:1] == "0" and len(row[1]) > 1 or row[0] == "-0" for row in rows if len(row) == 2)
     return Layout(" ", ",", 1) if plain and (single or zeros) else layout
 
@@ -347,7 +347,7 @@ def _named(line: str, layout: Layout) -> list[str] | None:
     own = own[: layout.count] if len(without_ends(own)) <= layout.count else own
     if len(layout.stamp) == 2 and len(own) == layout.count:
         return [*own[: layout.stamp[0]], *own[layout.stamp[1] :]]
-    ways = [own, *(split(line, other) for other in SEPARATORS), labels_with_brackets(line)]
+    ways = [own, *(split(line, other) for other in SEPARATORS), WORD.findall(line)]
     return next((labels for labels in ways if len(labels) == layout.n_columns), None)
 
 

@@ -34,15 +34,8 @@ UNITS = {
     "displacement": LENGTHS | {"micron": 1e-6, "meter": 1.0},
     "strain": {"m/m": 1.0, "mm/m": 1e-3} | dict.fromkeys(("um/m", "ue", "ustrain", "microstrain"), 1e-6),
     "force": FORCES | {"mN": 1e-3, "kgf": 9.80665, "tf": 9806.65},
-    "pressure": {
-        "psi": POUND / INCH**2,
-        "Pa": 1.0,
-        "hPa": 100.0,
-        "kPa": 1e3,
-        "MPa": 1e6,
-        "bar": 1e5,
-        "mbar": 100.0,
-    },
+    "pressure": {"psi": POUND / INCH**2, "Pa": 1.0, "hPa": 100.0, "kPa": 1e3, "MPa": 1e6}
+    | {"bar": 1e5, "mbar": 100.0},
     "voltage": {"V": 1.0, "volt": 1.0, "mV": 1e-3, "uV": 1e-6},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     | dict.fromkeys(("min", "minute"), 60.0)
@@ -55,15 +48,8 @@ UNITS = {
     "angle": {"deg": 1.0, "°": 1.0, "rad": 1.0, "mrad": 1e-3},
 }
 #: The SI unit of a quantity that sensors measure.
-SI = {
-    "acceleration": "m/s^2",
-    "velocity": "m/s",
-    "displacement": "m",
-    "strain": "m/m",
-    "force": "N",
-    "pressure": "Pa",
-    "voltage": "V",
-}
+SI = {"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m"}
+SI |= {"strain": "m/m", "force": "N", "pressure": "Pa", "voltage": "V"}
 PLURALS = {name: f"{name[:-1]}ies" if name.endswith("y") else f"{name}s" for name in SI}
 QUANTITIES = tuple(name for name in SI if name != "voltage")  # what a sensor may be asked for
 DIRECTIONS = "N", "S", "E", "W", "Z", "H", "U", "X", "Y", "T", "R"
@@ -91,7 +77,7 @@ NUMBERS = {"sample", "samples", "index", "count", "counter", "frame", "record", 
 NO_HISTORY = "period", "frequency", "depth", "spectral"  # of tables over something else than time
 
 BRACKETS = re.compile(r"(?:\[|\((?![^)]*\[))((?:[^\[\]()]|\([^()]*\))*)[\])]")
-_CELL = re.compile(r"[^\s\[\]()]+(?:\s*[\[(][^\[\]()]*[\])])?|[\[(][^\[\]()]*[\])]")
+WORD = re.compile(r"[^\s\[\]()]+(?:\s*[\[(][^\[\]()]*[\])])?|[\[(][^\[\]()]*[\])]")  # and its brackets
 _PLAIN = str.maketrans("µμε²¹⁻·*", "uue21-  ", "^(){}'")
 _SENSITIVITY = re.compile(r"\s*(\d+\.?\d*(?:[eE][-+]?\d+)?)\s*([^\s/\d]+)\s*(?:/|per)\s*(.+?)\s*")
 _SECOND = re.compile(r"sec(?:ond)?s?(?![a-z])", re.IGNORECASE)
@@ -153,6 +139,16 @@ class Label(NamedTuple):
         """See `role_of`."""
         return role_of(self.name)
 
+    @property
+    def seconds(self) -> float | None:
+        """Seconds in the unit, if it is one of time."""
+        return self.known.factor if self.known is not None and self.known.quantity == "time" else None
+
+    @property
+    def is_clock(self) -> bool:
+        """Whether it says time, and states no unit of anything else."""
+        return self.role == "time" and (self.known is None or self.seconds is not None)
+
     @classmethod
     def of(cls, text: str, unit: str | None = None) -> "Label":
         """The label that a text is, with the unit of a row of units below it."""
@@ -172,11 +168,6 @@ class Label(NamedTuple):
         if unit is not None and own is not None and unit_of(own) != unit_of(unit):
             unit = f"{own} and {unit}"  # which is none that is known
         return cls(text, name or text, unit or own)
-
-
-def labels_with_brackets(text: str) -> list[str]:
-    """Words, each with the brackets that follow it."""
-    return _CELL.findall(text)
 
 
 # --- units and steps: what a file states, what the caller says, and which one counts ------------------------

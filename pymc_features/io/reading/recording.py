@@ -262,15 +262,11 @@ def recording_of(columns: Columns, request: Request, question: str = "") -> Reco
                 label.unit or columns.units,
                 **place,
                 label=label.text,
-                hidden=index == timer or _is_clock(label) or (label.role == "number" and label.unit is None),
+                hidden=index == timer or label.is_clock or (label.role == "number" and label.unit is None),
                 problem=problem,
             )
         )
     return Recording(columns.file, channels, question=question, skipped=True)
-
-
-def _is_clock(label: Label) -> bool:
-    return label.role == "time" and (label.known is None or label.known.quantity == "time")
 
 
 def clock_column(columns: Columns, clock) -> int | None:
@@ -298,8 +294,7 @@ def clock_column(columns: Columns, clock) -> int | None:
             )
     if labelled := [index for index, label in enumerate(columns.labels) if label.role == "time"]:
         return labelled[0]
-    first = columns.labels[0]
-    is_time = first.known is not None and first.known.quantity == "time"
+    first, is_time = columns.labels[0], columns.labels[0].seconds is not None
     open_ = is_time or not columns.own or first.role in (None, "number")
     forward = len(columns.labels) > 1 and open_ and (np.diff(columns.values[:, 0]) > 0.0).mean() > 0.9
     if forward and first.text and first.role is None and not is_time and columns.own:
@@ -321,11 +316,7 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
             f"{columns.where(int(without.argmax()), timer)}: the clock must have a time in every row, got "
             "none. Cut the row."
         )
-    known = (
-        1.0
-        if timer == columns.stamp
-        else label.known and label.known.quantity == "time" and label.known.factor
-    )
+    known = 1.0 if timer == columns.stamp else label.seconds
     if asked is not None and label.known is not None and not np.isclose(label.known.factor, asked, rtol=1e-6):
         raise ValueError(
             f"`clock_units` must be those of the file, {file} states {label.text!r}, got {asked:g} s. Leave "
@@ -339,8 +330,8 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
     stated = asked or known or COUNTERS.get(label.name.lower())
     scale = 1.0 if stated is None else stated
     for index, other in enumerate(columns.labels):  # each channel may have times of its own
-        if request.clock is None and index != timer and other.known is not None and _is_clock(other):
-            times = other.known.factor * columns.values[:, index]
+        if request.clock is None and index != timer and other.role == "time" and other.seconds is not None:
+            times = other.seconds * columns.values[:, index]
             apart = times - times[0] - scale * (readings - readings[0])
             if np.nanmax(np.abs(apart)) > 0.5 * scale * np.nanmedian(np.diff(readings)):
                 raise ValueError(
