@@ -309,11 +309,11 @@ def test_no_format_is_taken_for_another(tmp_path):
     ("more", "match"),
     [
         ({"func_type": 4, "data": HISTORIES[0] + 0j}, "10Z: functions must be time histories, type 1, got"),
-        ({"ordinate_spec_data_type": 8}, "10Z: histories must be accelerations, type 12, got type 8"),
+        ({"ordinate_spec_data_type": 8}, "must hold accelerations, the data set '10Z' says displacement"),
     ],
 )
 def test_other_functions(tmp_path, more, match):
-    with pytest.raises(ValueError, match=f"motion.uff .Universal File., {match}"):
+    with pytest.raises(ValueError, match=f"motion.uff .*{match}"):
         read_record(write_58(tmp_path, history(0, **more)))
 
 

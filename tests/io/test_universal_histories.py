@@ -63,8 +63,19 @@ def test_channels_that_are_not_asked_for_do_not_block(file):
         np.testing.assert_array_equal(read_channels(path, columns=columns).values[0], VALUES)
     np.testing.assert_array_equal(read_record(path, column="1Z").acceleration, VALUES)
     for columns in (None, "9Z"):
-        with pytest.raises(ValueError, match="9Z: histories must be accelerations, type 12, got type 13. Na"):
+        with pytest.raises(ValueError, match="hold accelerations, the data set '9Z' says data of type 13"):
             read_channels(path, columns=columns)
+
+
+def test_sensors_of_several_quantities_in_one_file(file):
+    path = file(data_set(), data_set(node=2, quantity=8, unit="mm"))
+    sensors = {
+        "top": {"file": path, "column": "1Z"},
+        "lvdt": {"file": path, "column": "2Z", "quantity": "displacement"},
+    }
+    np.testing.assert_allclose(read_channels(sensors).values, [VALUES, 1e-3 * VALUES], rtol=1e-15)
+    with pytest.raises(ValueError, match="must hold accelerations, the data set '2Z' says displacement"):
+        read_channels(path)
 
 
 def test_units_of_the_label(file):

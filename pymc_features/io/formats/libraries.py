@@ -25,7 +25,7 @@ import numpy as np
 from pymc_features._checks import listed, warn_caller
 from pymc_features.io.formats.matlab import read_matlab
 from pymc_features.io.formats.sources import channels_of, recording_in
-from pymc_features.io.reading.labels import PLURALS, unit_of
+from pymc_features.io.reading.labels import unit_of
 from pymc_features.io.reading.lines import Lines, by_library, to_count, to_number, warn_of_widths
 from pymc_features.io.reading.recording import Channel, Format, Opening, Recording, Request, even_or_times
 
@@ -47,8 +47,8 @@ UNLABELLED = "", "none"
 COLUMNS = {6: [(0, 5), (5, 15), (15, 20), (20, 30), (41, 51), (51, 55), (66, 76), (76, 80)]}
 COLUMNS |= {7: [(0, 10), (10, 20), (20, 30)]}
 RIGHT = re.compile(r" *[-+]?\d+")
-UNKNOWN = (0, 1)  # types of data that do not say what it is
 TYPES = {"strain": 2, "displacement": 8, "force": 9, "velocity": 11, "acceleration": 12, "pressure": 15}
+QUANTITY_OF_TYPE = {number: name for name, number in TYPES.items()} | {0: None, 1: None}  # which do not say
 
 
 def is_universal(head: bytes) -> bool:
@@ -88,30 +88,30 @@ def read_universal(path: Path, request: Request) -> Recording:
         )
     if odd := [kind for kind in dict.fromkeys(kinds) if kind not in KNOWN]:
         warn_caller(f"{path.name}: the data sets {listed(odd)} are of no known type. Is a digit of one lost?")
-    channels = [_channel(path.name, found, request.quantity, raw) for found in sets]
+    channels = [_channel(path.name, found, raw) for found in sets]
     if len({channel.start for channel in channels if not channel.problem}) < 2:
         channels = [channel._replace(start=None) for channel in channels]
     return Recording(path.name, channels)
 
 
-def _channel(file: str, found: dict, quantity: str, raw: bytes) -> Channel:
-    """A time history, as its data set describes it."""
+def _channel(file: str, found: dict, raw: bytes) -> Channel:
+    """A time history, as its data set describes it; of one that is spoilt, why it cannot be taken."""
     direction = found["rsp_dir"]
     axis = AXES[abs(direction) - 1] if 1 <= abs(direction) <= len(AXES) else ""
     name = f"{found['rsp_node']}{'-' if direction < 0 else ''}{axis}"
-    where = f"{file} ({NAME}), {name}"
+    try:
+        return _history(name, f"{file} ({NAME}), {name}", found, raw)
+    except ValueError as error:
+        return Channel(name, np.zeros(0), problem=str(error))
+
+
+def _history(name: str, where: str, found: dict, raw: bytes) -> Channel:
+    """The numbers of a data set on their clock; `where` is how a message calls it."""
     if found["func_type"] != TIME_RESPONSE or np.iscomplexobj(found["data"]):
-        problem = (
+        raise ValueError(
             f"{where}: functions must be time histories, type 1, got type {found['func_type']}. Identify the "
             "modes from frequency response functions first."
         )
-        return Channel(name, np.zeros(0), problem=problem)
-    if (kind := found["ordinate_spec_data_type"]) not in (*UNKNOWN, TYPES[quantity]):
-        problem = (
-            f"{where}: histories must be {PLURALS[quantity]}, type {TYPES[quantity]}, got type {kind}. Name "
-            f"the columns that are {PLURALS[quantity]}."
-        )
-        return Channel(name, np.zeros(0), problem=problem)
     values, times = np.asarray(found["data"], dtype=np.float64), np.asarray(found["x"], dtype=np.float64)
     n = found["num_pts"]
     if n < values.size < n + PER_LINE and not values[n:].any():  # the last line is filled up with zeros
@@ -140,7 +140,8 @@ def _channel(file: str, found: dict, quantity: str, raw: bytes) -> Channel:
     times = clock.factor * times
     quantum = 1e-5 * float(np.abs(times).max())  # six digits are printed
     spacing = even_or_times(times, quantum, lambda row: f"{where}, sample {row}")
-    return Channel(name, values, unit or None, **spacing, start=float(times[0]))
+    quantity = QUANTITY_OF_TYPE.get(kind := found["ordinate_spec_data_type"], f"data of type {kind}")
+    return Channel(name, values, unit or None, **spacing, start=float(times[0]), quantity=quantity)
 
 
 def _check_text(path: Path, raw: bytes) -> None:

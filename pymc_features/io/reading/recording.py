@@ -75,6 +75,7 @@ class Channel(NamedTuple):
     times: np.ndarray | None = None  # (time,) [s], where they are uneven; `dt` is None then
     start: float | None = None  # time of the first sample [s], on a clock that files of this format share
     quantum: float = 0.0  # resolution of the times [s]
+    quantity: str | None = None  # what it is, where more than a label says it
     label: str = ""  # what it is called besides: the header with its unit, the variable that it is a row of
     hidden: bool = False  # whether it is no measurement unless it is asked for: a clock, numbers of samples
     problem: str = ""  # why its values cannot be taken, if it is asked for
@@ -161,10 +162,12 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
     if channel.problem:
         raise ValueError(channel.problem)
     file, skip, quantity = recording.file, 0 if recording.skipped else request.skip, request.quantity
-    role, stated, voltage = role_of(channel.name), channel.dt, request.sensitivity is not None
-    if channel.unit is None and role in MEASURED and role != quantity and not voltage:
+    stated, voltage, said, by = channel.dt, request.sensitivity is not None, channel.quantity, "data set"
+    if said is None and channel.unit is None and not voltage and role_of(channel.name) in MEASURED:
+        said, by = role_of(channel.name), "label"
+    if said not in (None, quantity):
         raise ValueError(
-            f"{file} must hold {PLURALS[quantity]}, the label {channel.name!r} says {role}. Pass the columns "
+            f"{file} must hold {PLURALS[quantity]}, the {by} {channel.name!r} says {said}. Pass the columns "
             "that are, or rename it."
         )
     if channel.times is not None:
