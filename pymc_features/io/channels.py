@@ -25,7 +25,7 @@ from pymc_features._checks import (
     shown,
     single,
 )
-from pymc_features.io.formats import format_of
+from pymc_features.io.formats import read_file
 from pymc_features.io.formats.sources import is_source, recording_in
 from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time, without_clocks
 from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
@@ -36,11 +36,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 REACH = 10  # samples by which gaps are wider once a channel is moved to other times
-#: What may be said of each sensor on its own.
-OF_SENSOR = (
-    "file", "column", "units", "quantity", "sensitivity", "scale", "delay", "anchors",
-    "dt", "clock", "clock_units", "skip", "wrapped",
-)  # fmt: skip
+#: What may be said of all sensors or of each on its own, and of each alone.
+OF_ALL = "units", "quantity", "sensitivity", "dt", "clock", "clock_units", "skip", "wrapped"
+OF_SENSOR = "file", "column", *OF_ALL, "scale", "delay", "anchors"
 
 
 def read_channels(
@@ -224,7 +222,7 @@ def recording_from(source, request: Request, name: str = "files") -> Recording:
         return recording_in(source, request)
     path = check_path(source, name)
     check_readable(path, name)
-    return format_of(path, request).recording(path, request)
+    return read_file(path, request)
 
 
 def _read(files, columns, request: Request, resample) -> "xr.DataArray":
@@ -368,8 +366,7 @@ def _of_sensor(name, given: dict, request: Request, resampled: bool) -> tuple[ob
             raise ValueError(message("anchors", what, shown(given["anchors"])))
         settings["anchors"] = numbers[:2], numbers[2:]
     source, column = given["file"], given.get("column")
-    keys = ("units", "dt", "clock", "clock_units", "skip", "wrapped", "quantity", "sensitivity")
-    own = checked_request(**{key: given.get(key, getattr(request, key)) for key in keys})
+    own = checked_request(**{key: given.get(key, getattr(request, key)) for key in OF_ALL})
     picked = request.columns if column is None else [check_column(column, "column")]
     return source, own._replace(columns=picked, gaps=request.gaps), settings
 

@@ -91,8 +91,7 @@ class Recording(NamedTuple):
     skipped: bool = False  # whether the first samples are left out already, before the clock was looked at
 
 
-@dataclass(frozen=True)
-class Format:
+class Format(NamedTuple):
     """A kind of files: what it is called, how it is recognised, what it states, how it is read."""
 
     name: str  # in messages and in the table of formats
@@ -100,19 +99,6 @@ class Format:
     files: str  # usual endings of file names, for the table of formats
     states: str  # what its files say themselves, for the table of formats
     read: Callable[[Path, Request], Recording]  # its errors have the name of the file
-
-    def recording(self, path: Path, request: Request) -> Recording:
-        """The channels of a file; no file leaves the library with another error than ours."""
-        try:
-            found = self.read(path, request)
-        except (ArithmeticError, LookupError, MemoryError, TypeError, UnicodeError) as error:
-            raise ValueError(
-                f"{path.name} must be a whole {self.name} file, it cannot be read ({error}). "
-                "Fetch the file again."
-            ) from error
-        if not found.channels:
-            raise ValueError(f"{path.name} ({self.name}) must hold an acceleration, none was found.")
-        return found
 
 
 def chosen(recording: Recording, columns: list | None, argument: str = "columns") -> list[Channel]:
