@@ -15,7 +15,6 @@ import zipfile
 from io import StringIO
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -41,14 +40,21 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")  # directions 1 to 6
 ANSYS = dict(zip(("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ"), AXES, strict=True))
 
 
-class Found(NamedTuple):
-    """Matrices by name, and the degrees of freedom of those whose file names them."""
+class Matrices(dict):
+    """Matrices by name.
 
-    matrices: dict
-    labels: dict[str, list[str]] = {}
+    Attributes
+    ----------
+    labels : dict of str to list of str
+        Degrees of freedom of the rows, as ``12:z``, of the matrices whose file names them.
+    """
+
+    def __init__(self, matrices: dict, labels: dict[str, list[str]] | None = None):
+        super().__init__(matrices)
+        self.labels = labels or {}
 
 
-def read_mtx(path: Path) -> Found:
+def read_mtx(path: Path) -> Matrices:
     """A matrix of Matrix Market or of Abaqus, which have the same ending.
 
     SciPy reads the header only: of numbers such as 1.5x and 1.5D3 it would take the beginning.
@@ -58,7 +64,7 @@ def read_mtx(path: Path) -> Found:
         return _abaqus(path, lines)
     *shape, n_entries, layout, field, symmetry = mminfo(path)
     if field == "complex":
-        return Found({path.stem: np.empty((1, 1), dtype=complex)})
+        return Matrices({path.stem: np.empty((1, 1), dtype=complex)})
     square, sign = shape[0] == shape[1], SIGNS.get(symmetry)
     if field not in ("real", "double", "integer") or sign is None or min(shape) < 1 or (sign and not square):
         what = f"{field} {symmetry}, {shape[0]} x {shape[1]}"
@@ -74,10 +80,10 @@ def read_mtx(path: Path) -> Found:
     if len(body) != n_entries:
         raise lines.error(f"the file must hold the {n_entries} entries that it announces", len(body))
     if layout == "coordinate":
-        return Found({path.stem: _assembled(path, body, tuple(shape), sign)})
+        return Matrices({path.stem: _assembled(path, body, tuple(shape), sign)})
     matrix = np.zeros(shape[::-1])
     matrix[stored] = body[:, 0]
-    return Found({path.stem: matrix.T + sign * np.triu(matrix, 1) if sign else matrix.T})
+    return Matrices({path.stem: matrix.T + sign * np.triu(matrix, 1) if sign else matrix.T})
 
 
 def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
@@ -138,16 +144,16 @@ def _square(path: Path, entries: np.ndarray, size: int | None = None):
     return _assembled(path, entries, (size, size), 0.0 if both else 1.0)
 
 
-def _abaqus(path: Path, lines: Lines) -> Found:
+def _abaqus(path: Path, lines: Lines) -> Matrices:
     """*MATRIX OUTPUT: lines of node, direction, node, direction and value, or of row, column and value."""
     entries = _numbers(lines)
     if entries.shape[1] == 3:
-        return Found({path.stem: _square(path, entries)})
+        return Matrices({path.stem: _square(path, entries)})
     pairs = np.vstack([entries[:, :2], entries[:, 2:4]])
     freedoms, numbers = np.unique(pairs.astype(np.int64), axis=0, return_inverse=True)
     places = numbers.reshape(2, -1).T + 1.0
     matrix = _square(path, np.column_stack([places, entries[:, 4]]), len(freedoms))
-    return Found({path.stem: matrix}, {path.stem: [_label(node, axis) for node, axis in freedoms]})
+    return Matrices({path.stem: matrix}, {path.stem: [_label(node, axis) for node, axis in freedoms]})
 
 
 def _label(node, direction) -> str:
@@ -156,18 +162,18 @@ def _label(node, direction) -> str:
     return f"{int(node)}:{AXES[axis - 1]}" if 1 <= axis <= 6 else str(int(node))
 
 
-def read_calculix(path: Path) -> Found:
+def read_calculix(path: Path) -> Matrices:
     """Stiffness (.sti) or mass (.mas): row, column, value; degrees of freedom in the .dof beside it."""
     entries = _numbers(Lines(path), 3)
     beside = path.with_suffix(".dof")
     if not beside.exists():
-        return Found({path.stem: _square(path, entries)})
+        return Matrices({path.stem: _square(path, entries)})
     pairs = [line.split()[0].partition(".") for _, line in Lines(beside)]
     labels = [_label(to_count(node) or 0, to_count(axis) or 0) for node, _, axis in pairs]
-    return Found({path.stem: _square(path, entries, len(labels))}, {path.stem: labels})
+    return Matrices({path.stem: _square(path, entries, len(labels))}, {path.stem: labels})
 
 
-def read_harwell_boeing(path: Path) -> Found:
+def read_harwell_boeing(path: Path) -> Matrices:
     """A real assembled matrix (RSA, RUA); HBMAT writes its degrees of freedom to a .mapping beside it."""
     lines = Lines(path, "Harwell-Boeing")
     lines.take("a title")
@@ -194,39 +200,25 @@ def read_harwell_boeing(path: Path) -> Found:
     matrix = _assembled(path, np.column_stack([rows, columns, values]), (n_rows, n_columns), sign)
     beside = path.with_suffix(".mapping")  # lines of equation, node and name, UX or ROTZ
     if not beside.exists():
-        return Found({path.stem: matrix})
+        return Matrices({path.stem: matrix})
     listed_ = [line.split() for _, line in Lines(beside)]
     named = {int(row[0]): f"{row[1]}:{ANSYS[row[2]]}" for row in listed_ if row[2:3] and row[2] in ANSYS}
-    return Found({path.stem: matrix}, {path.stem: [named.get(k, str(k)) for k in range(1, n_rows + 1)]})
+    return Matrices({path.stem: matrix}, {path.stem: [named.get(k, str(k)) for k in range(1, n_rows + 1)]})
 
 
-def read_nastran(path: Path) -> Found:
+def read_nastran(path: Path) -> Matrices:
     """OP4, text or binary, or DMIG in a punch file, by pyyeti."""
     with by_library("pyyeti", "fe", path, "Nastran"):
         with np.printoptions():  # which pyyeti changes for all when it is imported
             from pyyeti.nastran import bulk, op4
         if path.suffix.lower() == ".op4":
-            return Found(dict(op4.read(str(path))))
+            return Matrices(dict(op4.read(str(path))))
         found = bulk.rddmig(str(path))
     labels = {name: [_label(*pair) for pair in frame.index] for name, frame in found.items()}
-    return Found({name: frame.to_numpy() for name, frame in found.items()}, labels)
+    return Matrices({name: frame.to_numpy() for name, frame in found.items()}, labels)
 
 
 # --- one way in ------------------------------------------------------------------------------------------
-
-
-class Matrices(dict):
-    """Matrices by name.
-
-    Attributes
-    ----------
-    labels : dict of str to list of str
-        Degrees of freedom of the rows, as ``12:z``, of the matrices whose file names them.
-    """
-
-    def __init__(self, matrices: dict, labels: dict[str, list[str]]):
-        super().__init__(matrices)
-        self.labels = labels
 
 
 def read_matrices(path: str | PathLike) -> Matrices:
@@ -250,7 +242,7 @@ def read_matrices(path: str | PathLike) -> Matrices:
 
     Raises
     ------
-    FileNotFoundError, OSError
+    FileNotMatricesError, OSError
         If there is no such file or it cannot be opened.
     ValueError
         If the suffix is none of these or the file does not hold matrices of real numbers.
@@ -284,7 +276,7 @@ def read_matrices(path: str | PathLike) -> Matrices:
             f"{path.name} must hold matrices, it cannot be read ({shortened(error)}). Save it again."
         ) from error
     floats = {}
-    for name, value in found.matrices.items():
+    for name, value in found.items():
         if getattr(value, "ndim", 0) not in (1, 2) or value.dtype.kind not in "biuf" or 0 in value.shape:
             continue
         if sparse.issparse(value):
@@ -298,40 +290,40 @@ def read_matrices(path: str | PathLike) -> Matrices:
             )
         floats[name] = value
     if not floats:
-        held = listed(sorted(found.matrices)) if found.matrices else "nothing"
+        held = listed(sorted(found)) if found else "nothing"
         raise ValueError(
             f"{path.name} must hold matrices of real numbers, got {held}. Save M, C and K as variables."
         )
     return Matrices(floats, {name: found.labels[name] for name in floats if name in found.labels})
 
 
-def _read_table(path: Path) -> Found:
+def _read_table(path: Path) -> Matrices:
     """A table of numbers, with labels of the columns or without."""
     columns = read_columns(path, Request(wrapped=False))
     labels = [label.text for label in columns.labels]
     square = columns.values.shape[0] == columns.values.shape[1]
-    return Found({path.stem: columns.values}, {path.stem: labels} if square and all(labels) else {})
+    return Matrices({path.stem: columns.values}, {path.stem: labels} if square and all(labels) else {})
 
 
-def _read_npz(path: Path) -> Found:
+def _read_npz(path: Path) -> Matrices:
     with zipfile.ZipFile(path) as file:
         check_size(path, [entry.file_size for entry in file.infolist()])
     with np.load(path, allow_pickle=False) as file:
         arrays = dict(file)
     if not {"format", "shape", "data"} <= set(arrays):
-        return Found(arrays)
+        return Matrices(arrays)
     check_size(path, 8 * np.ravel(arrays["shape"]))
     matrix = sparse.load_npz(path)
     if matrix.format == "bsr":
         matrix.check_format(full_check=True)  # SciPy converts a damaged one to another matrix
     matrix = sparse.csc_array(matrix)
     matrix.check_format()
-    return Found({path.stem: matrix})
+    return Matrices({path.stem: matrix})
 
 
 READERS = {
     ".mtx": read_mtx,
-    ".mat": lambda path: Found(load_variables(path)),
+    ".mat": lambda path: Matrices(load_variables(path)),
     ".npz": _read_npz,
     **dict.fromkeys((".sti", ".mas"), read_calculix),
     **dict.fromkeys((".hb", ".rsa", ".rua", ".matrix"), read_harwell_boeing),
