@@ -25,18 +25,8 @@ MOST_HEADER_LINES = 10_000
 FEW = 200_000  # characters that NumPy reads as fast as pandas is imported
 SAMPLED = 200  # lines whose printed digits say how fine a column is
 ENDS = 12  # lines that tell whether the last one is whole
-DATES = [
-    "%Y-%m-%d",
-    "%d.%m.%Y",
-    "%d-%b-%Y",
-    "%d.%m.%y",
-    "%d/%m/%Y",
-    "%m/%d/%Y",
-    "%Y/%m/%d",
-    "%Y.%m.%d",
-    "%d-%m-%Y",
-    "%m-%d-%Y",
-]
+DATES = ["%Y-%m-%d", "%d.%m.%Y", "%d-%b-%Y", "%d.%m.%y", "%d/%m/%Y"]
+DATES += ["%m/%d/%Y", "%Y/%m/%d", "%Y.%m.%d", "%d-%m-%Y", "%m-%d-%Y"]
 DATE = r"\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.](?:\d\d?|[A-Z][a-z]{2})[-/.]\d{4}|\d\d\.\d\d\.\d\d"
 STAMP = re.compile(
     rf"(?:(?P<date>{DATE})(?:T|[ ,;]\s*))?"
@@ -133,12 +123,7 @@ def read_columns(path: Path, request: Request) -> Columns:
     start = lines.at(first)
     _refuse_cut_last(lines, start, layout)
     found = _fast(lines, start, layout) if not request.wrapped else None
-    try:
-        origin, values = found or _cell_by_cell(lines, first, layout, request)
-    except ValueError as error:
-        if str(error).startswith(path.name):
-            raise
-        raise ValueError(f"{path.name}: {error}. Correct them.") from None
+    origin, values = found or _cell_by_cell(lines, first, layout, request)
     labels, own, unit = _labels(header, layout)
     rows_in_line = 1.0
     if request.wrapped:
@@ -402,7 +387,7 @@ def _by_pandas(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndar
     joint = "," if layout.separator == "," and texts.iloc[0, -1].isdigit() else " "
     stamps = [joint.join(row) for row in zip(*(texts[k] for k in texts), strict=True)]
     rest = frame.drop(columns=list(layout.stamp)).to_numpy(dtype=np.float64)
-    origin, seconds = seconds_of(stamps)
+    origin, seconds = seconds_of(stamps, lines.file)
     return origin, np.insert(rest, layout.stamp[0], seconds, axis=1)
 
 
@@ -442,7 +427,7 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
     found = np.array(values).reshape(-1, layout.n_columns)
     origin = 0.0
     if layout.stamp:
-        origin, found[:, layout.stamp[0]] = seconds_of(texts)
+        origin, found[:, layout.stamp[0]] = seconds_of(texts, lines.file)
     return origin, found
 
 
@@ -472,7 +457,7 @@ def _resolution(lines: Lines, start: int, layout: Layout, index: int, largest: f
 # --- time stamps ------------------------------------------------------------------------------------
 
 
-def seconds_of(texts: list[str]) -> tuple[float, np.ndarray]:
+def seconds_of(texts: list[str], file: str) -> tuple[float, np.ndarray]:
     """Midnight before the first of some time stamps [s since 1970], and the seconds since then (stamp,).
 
     Without dates they are seconds of a day, past whose end they may run. A time zone is taken into account,
@@ -482,7 +467,7 @@ def seconds_of(texts: list[str]) -> tuple[float, np.ndarray]:
 
     found = [STAMP.fullmatch(text) for text in texts]
     if None in found:
-        raise ValueError(f"time stamps must be as the first, got {texts[found.index(None)]!r}")
+        raise ValueError(f"{file}: time stamps must be as the first, got {texts[found.index(None)]!r}.")
     dates, ways = list(dict.fromkeys(match["date"] for match in found if match["date"])), []
     for form in DATES if dates else ():
         with suppress(ValueError):
@@ -490,7 +475,8 @@ def seconds_of(texts: list[str]) -> tuple[float, np.ndarray]:
     # of two ways to read them the nearer dates
     days = min(ways, key=lambda way: max(way.values()) - min(way.values()), default={})
     if dates and not days:
-        raise ValueError(f"dates must be those of a calendar, all written alike, got {', '.join(dates[:3])}")
+        what = f"those of a calendar, all written alike, got {', '.join(dates[:3])}"
+        raise ValueError(f"{file}: dates must be {what}. Correct them.")
     origin = min(days.values(), default=0.0)
     seconds = np.array([days.get(match["date"], origin) - origin + _of_day(match) for match in found])
     if not days:
