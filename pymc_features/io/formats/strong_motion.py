@@ -82,14 +82,14 @@ def check_end(lines: Lines, what: str) -> None:
         raise lines.error(f"nothing may follow {what}", repr(line.strip()[:60]))
 
 
-def labelled(lines: Lines, end: str | None = None, most: int = 300) -> dict[str, str]:
+def labelled(lines: Lines, end: str | None = None) -> dict[str, str]:
     """Facts by their labels, `LABEL: value`, down to a line that begins with `end` or to the first number.
 
     A label is in capitals and stays with its first value. The line that begins with `end` is taken, a number
     is not.
     """
     facts = {}
-    for _ in range(most):
+    while True:
         following = (lines.peek() or "").split()
         if end is None and following and None not in map(to_number, following):
             return facts
@@ -99,7 +99,6 @@ def labelled(lines: Lines, end: str | None = None, most: int = 300) -> dict[str,
         label, colon, value = line.partition(":")
         if colon:
             facts.setdefault(" ".join(label.upper().split()), value.strip())
-    raise lines.error(f"the header must end within {most} lines", "more")
 
 
 # --- PEER AT2: what the values are, how many (NPTS) and how far apart (DT), in any words -------------

@@ -7,7 +7,6 @@ from array import array
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +126,8 @@ class Lines:
 
     def peek(self) -> str | None:
         """The next line that is not blank, None at the end of the file; it is not taken."""
-        return next((line for line in islice(self.whole, self.number, None) if line.strip()), None)
+        below = (self.whole[k] for k in range(self.number, len(self.whole)))
+        return next((line for line in below if line.strip()), None)
 
     def take(self, what: str) -> str:
         """The next line, blank or not; `what` it should be, for the message at the end of the file."""
