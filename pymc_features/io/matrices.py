@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy import sparse
-from scipy.io import mminfo
+from scipy.io import mminfo, mmread
 
 from pymc_features._checks import check_path, listed
 from pymc_features.io.formats.matlab import load_variables
@@ -57,7 +57,7 @@ class Matrices(dict):
 def read_mtx(path: Path) -> Matrices:
     """A matrix of Matrix Market or of Abaqus, which have the same ending.
 
-    SciPy reads the header only: of numbers such as 1.5x and 1.5D3 it would take the beginning.
+    SciPy reads it once the numbers have been looked at: of 1.5x and 1.5D3 it would take the beginning.
     """
     lines = Lines(path)
     if not lines.text.lstrip().lower().startswith("%%matrixmarket"):
@@ -73,17 +73,12 @@ def read_mtx(path: Path) -> Matrices:
     body = _numbers(lines, 3 if layout == "coordinate" else 1)
     if layout == "array":
         check_size(path, [8 * shape[0] * shape[1]])
-        # columns one below the other; of symmetric ones the part from the diagonal on, of skew ones below it
-        stored = np.ones(shape[::-1], dtype=bool)
-        stored = np.triu(stored, 0 if sign > 0.0 else 1) if sign else stored
-        n_entries = stored.sum()
+        # of symmetric ones the columns from the diagonal on stand one below the other, of skew ones below it
+        n_entries = (shape[0] * (shape[0] + int(sign))) // 2 if sign else shape[0] * shape[1]
     if len(body) != n_entries:
         raise lines.error(f"the file must hold the {n_entries} entries that it announces", len(body))
-    if layout == "coordinate":
-        return Matrices({path.stem: _assembled(path, body, tuple(shape), sign)})
-    matrix = np.zeros(shape[::-1])
-    matrix[stored] = body[:, 0]
-    return Matrices({path.stem: matrix.T + sign * np.triu(matrix, 1) if sign else matrix.T})
+    coordinate = layout == "coordinate"
+    return Matrices({path.stem: _assembled(path, body, tuple(shape), sign) if coordinate else mmread(path)})
 
 
 def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
