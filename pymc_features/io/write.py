@@ -1,6 +1,5 @@
 """Channels as files that other programs read: CSV with units in its header, Universal Files."""
 
-import csv
 import re
 from os import PathLike
 from typing import TYPE_CHECKING
@@ -70,6 +69,8 @@ def write_channels(channels: "xr.DataArray", path: str | PathLike) -> None:
 
 
 def _write_csv(path, names, units, channels, step: float) -> None:
+    import pandas as pd  # half a second to import
+
     start, times = float(channels.attrs.get("start", 0.0)), step * np.arange(channels.sizes["time"])
     if start > EPOCH:
         since = np.int64(round(start * 1e6)) * 1000 + np.rint(times * 1e9).astype(np.int64)
@@ -77,11 +78,9 @@ def _write_csv(path, names, units, channels, step: float) -> None:
     else:
         clock = [f"{time:.15g}" for time in start + times]
     labels = [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]
-    with path.open("w", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["time" if start > EPOCH else "time [s]", *labels])
-        for time, row in zip(clock, channels.values.T, strict=True):
-            rows.writerow([time, *("" if np.isnan(value) else f"{value:.17g}" for value in row)])
+    table = pd.DataFrame(channels.values.T, clock, labels, dtype=np.float64)
+    label = "time" if start > EPOCH else "time [s]"
+    table.to_csv(path, index_label=label, float_format="%.17g", lineterminator="\n")
 
 
 def _write_universal(path, names, units, channels, step: float) -> None:
@@ -96,16 +95,8 @@ def _write_universal(path, names, units, channels, step: float) -> None:
             raise ValueError(message("channels", what, name, "Rename them, or write CSV."))
         node, sign, axis = found.groups()
         even = int(float(f"{step:.5e}") == step and times[0] == 0.0)  # six digits
-        of = {
-            "type": 58,
-            "binary": 1,
-            "func_type": 1,
-            "ref_node": 0,
-            "ref_dir": 0,
-            "ord_data_type": 4,
-            "id1": name,
-        }
-        of |= {"rsp_node": int(node), "rsp_dir": (AXES.index(axis) + 1) * (-1 if sign else 1)}
+        of = {"type": 58, "binary": 1, "func_type": 1, "ref_node": 0, "ref_dir": 0, "ord_data_type": 4}
+        of |= {"id1": name, "rsp_node": int(node), "rsp_dir": (AXES.index(axis) + 1) * (-1 if sign else 1)}
         of |= {"data": values.astype(np.float64), "x": times, "abscissa_spacing": even}
         of |= {"abscissa_axis_units_lab": "s", "ordinate_axis_units_lab": unit}
         sets.append(of | {"orddenom_spec_data_type": 0, "ordinate_spec_data_type": TYPE_OF_UNIT.get(unit, 0)})
