@@ -26,7 +26,7 @@ from pymc_features._checks import (
     single,
 )
 from pymc_features.io.formats import read_file
-from pymc_features.io.formats.sources import is_source, recording_in
+from pymc_features.io.formats.libraries import is_source, recording_in
 from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time, without_clocks
 from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
 from pymc_features.io.reading.lines import check_readable

@@ -7,6 +7,8 @@ from array import array
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
+from io import BytesIO
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -104,10 +106,7 @@ class Lines:
 
     def at(self, number: int) -> int:
         """The place of a line in the text."""
-        place = 0
-        for _ in range(number - 1):
-            place = self.raw.find(b"\n", place) + 1
-        return place
+        return sum(map(len, islice(BytesIO(self.raw), number - 1)))
 
     @cached_property
     def whole(self) -> list[str]:
@@ -116,12 +115,8 @@ class Lines:
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
         """Number, from 1, and text of every line that is not blank, without blanks around it."""
-        start, number = 0, 0
-        while start < len(self.raw):  # a line at a time: most callers need the first ones only
-            end = self.raw.find(b"\n", start)
-            end = len(self.raw) if end < 0 else end
-            line, start, number = self.raw[start:end].decode().strip(), end + 1, number + 1
-            if line:
+        for number, raw in enumerate(BytesIO(self.raw), 1):  # most callers need the first ones only
+            if line := raw.decode().strip():
                 yield number, line
 
     def peek(self) -> str | None:
