@@ -60,16 +60,13 @@ def read_universal(path: Path) -> Identified:
         kind = lines.take("the number of a data set")[:6].strip()
         if to_count(kind) is None:
             raise lines.error("the number of a data set must be there", repr(kind))
-        mode = None
-        if kind in READERS:
-            mode, what = READERS[kind](lines)
-            others += [] if mode is not None else [f"{kind} ({what})"]
-        else:
-            others.append(kind)
-        if mode is not None:
-            modes.append(mode)
-        else:
-            _skip(lines)
+        found = READERS[kind](lines) if kind in READERS else ""
+        if isinstance(found, Mode):
+            modes.append(found)
+            continue
+        others.append(f"{kind} ({found})" if found else kind)
+        while not is_mark(lines.take("-1 at the end of the data set")):
+            pass
     if not modes:
         raise _no_modes(path, others)
     warn_of_widths(lines.title, [*(row for mode in modes for row in mode.rows), (0, "")])
@@ -80,12 +77,6 @@ def read_universal(path: Path) -> Identified:
             "of a number lost?"
         )
     return _identified(path, _without_conjugates(modes))
-
-
-def _skip(lines: Lines) -> None:
-    """To the end of a data set."""
-    while not is_mark(lines.take("-1 at the end of the data set")):
-        pass
 
 
 def _no_modes(path: Path, others: list[str]) -> ValueError:
@@ -105,34 +96,30 @@ def _no_modes(path: Path, others: list[str]) -> ValueError:
 # --- one data set -----------------------------------------------------------------------------------
 
 
-def _read_55(lines: Lines) -> tuple[Mode | None, str]:
-    """A mode, or None and what the data set holds instead."""
-    for _ in range(5):
-        lines.take("five lines of text")
+def _read_55(lines: Lines) -> Mode | str:
+    """A mode, or what the data set holds instead."""
     layout = _layout(lines)
     if isinstance(layout, str):
-        return None, layout
+        return layout
     counts = _wholes(lines, None, "the number of the mode")
     reals = _reals(lines, 2)
     if len(counts) > 1 and 1 < counts[1] != reals.size:
         raise lines.error(
             f"the frequency must stand among {counts[1]} numbers, as the line above says", reals.size
         )
-    return _mode(lines, layout, reals), ""
+    return _mode(lines, layout, reals)
 
 
-def _read_2414(lines: Lines) -> tuple[Mode | None, str]:
-    """A mode, or None and what the data set holds instead."""
+def _read_2414(lines: Lines) -> Mode | str:
+    """A mode, or what the data set holds instead."""
     for _ in range(2):
         lines.take("label and name of the data set")
     [place] = _wholes(lines, 1, "where the data are")
     if place != 1:
-        return None, "data on elements"
-    for _ in range(5):
-        lines.take("five lines of text")
+        return "data on elements"
     layout = _layout(lines)
     if isinstance(layout, str):
-        return None, layout
+        return layout
     for _ in range(2):
         lines.take("the number of the mode")
     normal = np.zeros(6)
@@ -140,7 +127,7 @@ def _read_2414(lines: Lines) -> tuple[Mode | None, str]:
     normal[: given.size] = given  # time, frequency, eigenvalue, modal mass, two kinds of damping
     eigenvalue = _reals(lines, 2)
     numbers = eigenvalue if MODES[layout[0]] == "complex" else normal[[1, 3, 4, 5]]
-    return _mode(lines, layout, numbers), ""
+    return _mode(lines, layout, numbers)
 
 
 READERS: dict[str, Callable] = {"55": _read_55, "2414": _read_2414}
@@ -148,6 +135,8 @@ READERS: dict[str, Callable] = {"55": _read_55, "2414": _read_2414}
 
 def _layout(lines: Lines) -> tuple[int, int, int] | str:
     """Type of analysis, type of the values, and values per node; or what it is if these are no modes."""
+    for _ in range(5):
+        lines.take("five lines of text")
     _, analysis, _, quantity, values, count = _wholes(lines, 6, "what the data are")
     if analysis not in MODES:
         return f"analysis of type {analysis}, no modes"
@@ -198,7 +187,10 @@ def _nodes(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray, list]:
         nodes.append(node)
         left = count
         while left:
-            found = _columns(lines, min(left, PER_LINE), "the values of a node")
+            found = _numbers(lines.take("the values of a node"))
+            if len(found) != min(left, PER_LINE):
+                what = f"the values of a node must be {min(left, PER_LINE)} finite numbers"
+                raise lines.error(what, _shown(lines), "Export it again.")
             values.extend(found)
             left -= len(found)
             if len(found) == min(count, PER_LINE):
@@ -206,23 +198,12 @@ def _nodes(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray, list]:
     return np.array(nodes, dtype=np.int64), np.array(values).reshape(-1, count), rows
 
 
-def _columns(lines: Lines, count: int, what: str) -> list[float]:
-    """Read as many finite numbers as a line must hold."""
-    numbers = _numbers(lines.take(what))
-    if len(numbers) != count:
-        raise lines.error(f"{what} must be {count} finite numbers", _shown(lines), "Export it again.")
-    return numbers
-
-
 def _reals(lines: Lines, least: int) -> np.ndarray:
     """The finite numbers of a line, at least so many."""
     numbers = _numbers(lines.take("the frequency"))
     if len(numbers) < least:
-        raise lines.error(
-            f"the frequency must stand in a line of at least {least} finite numbers",
-            _shown(lines),
-            "Export it again.",
-        )
+        what = f"the frequency must stand in a line of at least {least} finite numbers"
+        raise lines.error(what, _shown(lines), "Export it again.")
     return np.array(numbers)
 
 
