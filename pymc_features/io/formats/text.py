@@ -4,7 +4,7 @@ import csv
 import re
 from array import array
 from contextlib import suppress
-from io import BytesIO, StringIO
+from io import BytesIO
 from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -22,7 +22,7 @@ COMPACT = re.compile(rb"(?<![\d.])((?:19|20)\d\d)([01]\d)([0-3]\d)T?([0-2]\d)([0
 NO_UNIT = {"", "-", "[]", "TS", "RN"}  # in a row of units; the last two in tables of Campbell's loggers, TOA5
 MISSING = ("", "nan", "+nan", "-nan")  # cells of a gap, in lower case
 MOST_HEADER_LINES = 10_000
-FEW = 200_000  # characters that NumPy reads as fast as pandas is imported
+FEW = 200_000  # characters that are read cell by cell before pandas is imported
 SAMPLED = 200  # lines whose printed digits say how fine a column is
 ENDS = 12  # lines that tell whether the last one is whole
 DATES = ["%Y-%m-%d", "%d.%m.%Y", "%d-%b-%Y", "%d.%m.%y", "%d/%m/%Y"]
@@ -122,7 +122,10 @@ def read_columns(path: Path, request: Request) -> Columns:
     _refuse_spoilt_first(path.name, header, first, layout)
     start = lines.at(first)
     _refuse_cut_last(lines, start, layout)
-    found = _fast(lines, start, layout) if not request.wrapped else None
+    found = None
+    if len(lines.raw) > FEW and not request.wrapped:
+        with suppress(ValueError, OverflowError):  # of a row that is not as the first
+            found = _by_pandas(lines, start, layout)
     origin, values = found or _cell_by_cell(lines, first, layout, request)
     labels, own, unit = _labels(header, layout)
     rows_in_line = 1.0
@@ -344,23 +347,8 @@ def _rows(lines: Lines, first: int):
     return ((number, line) for number, line in lines if number >= first and not line.startswith(COMMENTS))
 
 
-def _fast(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndarray] | None:
-    """Origin of the stamps and rows (row, column) by NumPy or pandas; None where one is not as the first."""
-    body = lines.part(start, start + FEW)
-    plain = layout.decimal == "." and not layout.stamp and '"' not in body
-    separator = None if layout.separator == " " else layout.separator
-    try:
-        if plain and len(body) < FEW:
-            origin, values = 0.0, np.loadtxt(StringIO(body), delimiter=separator, comments=None, ndmin=2)
-        else:
-            origin, values = _by_pandas(lines, start, layout)
-    except (ValueError, OverflowError):
-        return None
-    right = values.shape[1] == layout.n_columns and np.isfinite(values).all()
-    return (origin, values) if right else None
-
-
 def _by_pandas(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndarray]:
+    """Origin of the stamps and rows (row, column), all written as the first."""
     import pandas as pd  # half a second to import
 
     old = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
@@ -381,14 +369,17 @@ def _by_pandas(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndar
     )
     while frame.shape[1] > layout.count and layout.separator != " " and (frame.iloc[:, -1] == "").all():
         frame = frame.iloc[:, :-1]  # a separator at the end of each row
-    if not layout.stamp:
-        return 0.0, np.array([frame[k] for k in frame], dtype=np.float64).T  # columns whole
-    texts = frame.iloc[:, list(layout.stamp)]
-    joint = "," if layout.separator == "," and texts.iloc[0, -1].isdigit() else " "
-    stamps = [joint.join(row) for row in zip(*(texts[k] for k in texts), strict=True)]
-    rest = frame.drop(columns=list(layout.stamp)).to_numpy(dtype=np.float64)
-    origin, seconds = seconds_of(stamps, lines.file)
-    return origin, np.insert(rest, layout.stamp[0], seconds, axis=1)
+    origin, texts = 0.0, frame.iloc[:, list(layout.stamp)]
+    if layout.stamp:
+        joint = "," if layout.separator == "," and texts.iloc[0, -1].isdigit() else " "
+        stamps = [joint.join(row) for row in zip(*(texts[k] for k in texts), strict=True)]
+        origin, seconds = seconds_of(stamps, lines.file)
+        frame = frame.drop(columns=list(layout.stamp))
+        frame.insert(layout.stamp[0], "seconds", seconds)
+    values = np.array([frame[k] for k in frame], dtype=np.float64).T  # columns whole
+    if values.shape[1] != layout.n_columns or not np.isfinite(values).all():
+        raise ValueError("a row is not as the first")
+    return origin, values
 
 
 def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) -> tuple[float, np.ndarray]:
