@@ -152,14 +152,8 @@ def _compressed(n_rows: int, starts: np.ndarray, rows: np.ndarray, data: np.ndar
     from scipy import sparse
 
     n_entries = int(starts[-1])
-    rows, starts, given = (
-        rows[:n_entries].astype(np.int64),
-        starts.astype(np.int64),
-        (rows[:n_entries], starts),
-    )
-    if (rows != given[0]).any() or (starts != given[1]).any():
-        raise ValueError("places in a sparse matrix must be whole numbers")
-    matrix = sparse.csc_array((data[:n_entries], rows, starts), shape=(int(n_rows), starts.size - 1))
+    places = rows[:n_entries].astype(np.int64), starts.astype(np.int64)
+    matrix = sparse.csc_array((data[:n_entries], *places), shape=(int(n_rows), starts.size - 1))
     matrix.check_format()
     return matrix
 
@@ -181,9 +175,8 @@ def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
         pairs = item.dtype.names == ("real", "imag")
         kind = str(_text(item.attrs.get("MATLAB_class", "double")))
         is_number = kind in ("double", "single", "char") or kind.startswith(("int", "uint"))
-        if item.external or item.is_virtual or "MATLAB_empty" in item.attrs or not is_number:
-            return None
-        if item.dtype.kind not in "iuf" and not pairs:
+        apart = item.external or item.is_virtual or "MATLAB_empty" in item.attrs
+        if apart or not is_number or not (pairs or item.dtype.kind in "iuf"):
             return None
         sizes.append(item.nbytes)
         check_size(path, sizes)
@@ -295,15 +288,13 @@ def _columns(file: str, arrays: dict[str, np.ndarray], n_times: int, request: Re
 
 def _problem(array: np.ndarray, name: str, file: str, gaps: bool) -> str:
     """Why the numbers of a variable are no histories."""
-    bad, what = np.argwhere(np.isinf(array) if gaps else ~np.isfinite(array)), ""
+    bad, where = np.argwhere(np.isinf(array) if gaps else ~np.isfinite(array)), f"{file}, `{name}`"
     if len(bad):
-        value = array[tuple(bad[0])]
-        what = (
-            f", sample {bad[0].max()}: values must be finite numbers, got {value}. Correct or cut it first."
-        )
-    elif array.ndim == 2 and array.shape[0] == array.shape[1]:
-        what = f": time must be the longer side of a matrix, got shape {array.shape}. Save vectors."
-    return f"{file}, `{name}`{what}" if what else ""
+        value, at = array[tuple(bad[0])], bad[0].max()
+        return f"{where}, sample {at}: values must be finite numbers, got {value}. Correct or cut it first."
+    square = array.ndim == 2 and array.shape[0] == array.shape[1]
+    what = f"time must be the longer side of a matrix, got shape {array.shape}. Save vectors."
+    return f"{where}: {what}" if square else ""
 
 
 def _stated_units(facts: Mapping, inside: str, file: str) -> str | None:
