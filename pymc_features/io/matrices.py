@@ -176,7 +176,7 @@ def read_harwell_boeing(path: Path) -> Matrices:
     words = lines.take("the type of the matrix").split()
     kind, sizes = words[0].upper() if words else "", [to_count(word) for word in words[1:]]
     if len(counts) < 4 or len(sizes) < 3 or None in [*counts, *sizes]:
-        raise lines.error("the header must state lines, rows, columns and entries", repr(lines.last[:60]))
+        raise lines.error("the header must state lines, rows, columns and entries")
     if kind not in ("RSA", "RUA"):
         raise lines.error("the matrix must be real and assembled, RSA or RUA", kind, "Export it so.")
     formats = lines.take("the formats")

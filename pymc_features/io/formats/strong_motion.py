@@ -42,7 +42,7 @@ NO_SPECTRA = "the file must hold accelerations", "spectra (V3)", "Read the V2 fi
 def positive(lines: Lines, value: float | None, what: str) -> float:
     """A number that the header must state."""
     if value is None or not 0 < value < np.inf:
-        raise lines.error(f"the header must state {what}, a positive number", value)
+        raise lines.error(f"the header must state {what}, a positive number", str(value))
     return value
 
 
@@ -332,17 +332,21 @@ def read_cosmos(lines: Lines) -> list[Channel]:
     return channels
 
 
+def _counted(lines: Lines, what: str, *words: str) -> tuple[int, str]:
+    """The number that begins the next line that is not blank, and the line, which has some words."""
+    line = _text(lines, 1, what)[0].lower()
+    count = to_count(next(iter(line.split()), ""))
+    if count is None or not all(word in line for word in words):
+        raise lines.error(f"{what} must stand here")
+    return count, line
+
+
 def _announced(lines: Lines, kind: str, width: int = 0) -> np.ndarray | None:
     """The integers or reals below the line that says how many they are; of comments that they are some."""
-    line = lines.take(f"{kind}s")
-    count = re.match(rf"\s*(\d{{1,12}})\s+{kind}", line.lower(), re.ASCII)
-    if count is None:
-        raise lines.error(
-            f"the number of {kind} header values or lines must stand here", repr(line.strip()[:60])
-        )
+    count, line = _counted(lines, f"the number of {kind} header values or lines", kind)
     if width:
-        return lines.fields(int(count[1]), column_width(line, width), f"{kind} header values")
-    return _comments(lines, int(count[1]))
+        return lines.fields(count, column_width(line, width), f"{kind} header values")
+    return _comments(lines, count)
 
 
 def _comments(lines: Lines, count: int) -> None:
@@ -354,13 +358,13 @@ def _comments(lines: Lines, count: int) -> None:
 def _cosmos_series(lines: Lines, name: str, reals: np.ndarray) -> Iterator[Channel]:
     """Accelerations up to the next headers; velocities and displacements are passed over."""
     while (line := lines.peek()) is not None and "(format v" not in line.lower():
-        line = lines.take("a series").lower()
-        if line.lstrip().startswith("end-of-data") or not line.strip():
+        if line.lstrip().lower().startswith("end-of-data"):
+            _text(lines, 1, "a series")
             continue
-        n_times = to_count(next(iter(line.split()), ""))
-        if n_times is None or "units=" not in line or not any(word in line for word in QUANTITIES):
-            what = "the number of points, their units and quantity, as acceleration, must stand here"
-            raise lines.error(what, repr(line.strip()[:60]))
+        what = "the number of points, their units and quantity, as acceleration,"
+        n_times, line = _counted(lines, what, "units=")
+        if not any(word in line for word in QUANTITIES):
+            raise lines.error(f"{what} must stand here")
         values = lines.fields(n_times, column_width(line, 10), "values")
         if "accel" not in line or "velocity" in line:
             continue
@@ -406,11 +410,8 @@ def read_csmip(lines: Lines) -> list[Channel]:
 
 def _section(lines: Lines, quantity: str, name: str, peak: float | None = None) -> Channel:
     """A series below the line that says how many values there are, how far apart, and in which unit."""
-    line = lines.take("the number of points").lower()
-    count = re.match(r"\s*(\d{1,12})\s+points", line, re.ASCII)
-    if quantity not in line or count is None:
-        raise lines.error(f"the number of points of {quantity} data must stand here", repr(line.strip()[:60]))
-    count = positive(lines, int(count[1]), "the number of points")
+    count, line = _counted(lines, f"the number of points of {quantity} data", quantity, "points")
+    count = positive(lines, count, "the number of points")
     dt = positive(lines, number_after(line, "spaced at"), "the step")
     values = lines.fields(count, column_width(line, 10), "values")
     check_peak(lines, name, values, peak)
@@ -427,11 +428,9 @@ def _volume_1(lines: Lines, text: list[str]) -> Channel:
         spacing = even_or_times(times, PAIR_QUANTUM, lambda row: lines.where())
         unit = text[11].lower().partition(" and ")[2]
     else:
-        line = lines.take("the number of points").lower()
+        count, line = _counted(lines, "the number of points, and their rate in pts/sec,", "pts/sec")
         rate = positive(lines, number_after(line, "points at"), "the samples in a second")
-        count = positive(lines, to_count(line.split()[0]), "the number of points")
-        if "pts/sec" not in line:
-            raise lines.error("the rate must be in pts/sec", repr(line.strip()[:60]))
+        count = positive(lines, count, "the number of points")
         values, spacing = lines.fields(count, column_width(line, 9), "values"), {"dt": 1.0 / rate}
         unit = line.partition("units of")[2]
     word = next(iter(unit.split()), "").strip(".,")

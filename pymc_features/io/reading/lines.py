@@ -138,8 +138,9 @@ class Lines:
         """How a message calls the line that was taken last."""
         return f"{self.title}, line {self.number}"
 
-    def error(self, condition: str, got, advice: str = "Fetch the file again.") -> ValueError:
-        """The error about the line that was taken last."""
+    def error(self, condition: str, got=None, advice: str = "Fetch the file again.") -> ValueError:
+        """The error about the line that was taken last, which is what was got unless something is said."""
+        got = repr(self.last.strip()[:80]) if got is None else got
         return ValueError(f"{self.where()}: {condition}, got {got}. {advice}")
 
     def fields(self, count: int, width: int, what: str) -> np.ndarray:

@@ -56,10 +56,10 @@ def read_universal(path: Path) -> Identified:
         while not lines.take("a data set").strip():
             pass
         if not is_mark(lines.last):
-            raise lines.error("a data set must begin with -1", repr(lines.last.strip()[:40]))
+            raise lines.error("a data set must begin with -1")
         kind = lines.take("the number of a data set")[:6].strip()
         if to_count(kind) is None:
-            raise lines.error("the number of a data set must be there", repr(kind))
+            raise lines.error("the number of a data set must be there")
         found = READERS[kind](lines) if kind in READERS else ""
         if isinstance(found, Mode):
             modes.append(found)
@@ -179,7 +179,7 @@ def _nodes(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray, list]:
             raise lines.error("the number of a node must be there", "an empty line")
         words = lines.last.split()
         if len(words) != 1 or to_count(words[0]) is None:
-            raise lines.error("the number of a node must stand alone", repr(lines.last.strip()[:40]))
+            raise lines.error("the number of a node must stand alone")
         node = int(words[0])
         if node in seen:
             raise lines.error("nodes must be there once", f"{node} again", "Leave out one of them.")
@@ -190,7 +190,7 @@ def _nodes(lines: Lines, count: int) -> tuple[np.ndarray, np.ndarray, list]:
             found = _numbers(lines.take("the values of a node"))
             if len(found) != min(left, PER_LINE):
                 what = f"the values of a node must be {min(left, PER_LINE)} finite numbers"
-                raise lines.error(what, _shown(lines), "Export it again.")
+                raise lines.error(what, advice="Export it again.")
             values.extend(found)
             left -= len(found)
             if len(found) == min(count, PER_LINE):
@@ -203,7 +203,7 @@ def _reals(lines: Lines, least: int) -> np.ndarray:
     numbers = _numbers(lines.take("the frequency"))
     if len(numbers) < least:
         what = f"the frequency must stand in a line of at least {least} finite numbers"
-        raise lines.error(what, _shown(lines), "Export it again.")
+        raise lines.error(what, advice="Export it again.")
     return np.array(numbers)
 
 
@@ -222,18 +222,12 @@ def _wholes(lines: Lines, count: int | None, what: str) -> list[int]:
     for words in (line.split(), _cut(line, 10)):
         if words and len(words) == (count or len(words)) and all(_WHOLE.fullmatch(word) for word in words):
             return [int(word) for word in words]
-    raise lines.error(
-        f"{what} must be said by {count or 'some'} whole numbers", _shown(lines), "Export it again."
-    )
+    raise lines.error(f"{what} must be said by {count or 'some'} whole numbers", advice="Export it again.")
 
 
 def _cut(line: str, width: int) -> list[str]:
     line = line.rstrip()
     return [line[start : start + width].strip() for start in range(0, len(line), width)]
-
-
-def _shown(lines: Lines) -> str:
-    return repr(lines.last.strip()[:80])
 
 
 # --- all modes --------------------------------------------------------------------------------------
