@@ -2,6 +2,7 @@
 
 import errno
 import os
+import stat
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from contextlib import contextmanager
@@ -277,6 +278,26 @@ def check_path(value, name: str = "path", advice: str = "") -> Path:
     if not text or "\0" in text:
         raise ValueError(message(name, "a path", shown(value), advice))
     return Path(text)
+
+
+def check_file(value, name: str = "path") -> Path:
+    """The path of a file that can be opened."""
+    path = check_path(value, name)
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode):
+            path.open("rb").close()
+    except (FileNotFoundError, NotADirectoryError):
+        advice = f"The current folder is {Path.cwd()}."
+        raise FileNotFoundError(message(name, "an existing file", path, advice)) from None
+    except OSError as error:  # no permission, a name that is too long
+        raise type(error)(f"`{name}` must be readable, got {shown(str(path))}: {error.strerror}.") from error
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(message(name, "a file", f"the folder {path}", "Name a file in it."))
+    if not stat.S_ISREG(mode):  # devices have no end
+        got = f"the device or pipe {path}"
+        raise OSError(message(name, "a file", got, "Copy its contents into a file."))
+    return path
 
 
 # ---- flags, functions, mappings, results and models ----

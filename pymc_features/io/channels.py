@@ -12,6 +12,7 @@ from pymc_features._checks import (
     SAMPLING_INTERVAL,
     as_list,
     check_choice,
+    check_file,
     check_finite,
     check_flag,
     check_integer,
@@ -29,7 +30,6 @@ from pymc_features.io.formats import read_file
 from pymc_features.io.formats.libraries import is_source, recording_in
 from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time, without_clocks
 from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
-from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.recording import Recording, Request, chosen, in_si
 
 if TYPE_CHECKING:
@@ -220,8 +220,7 @@ def recording_from(source, request: Request, name: str = "files") -> Recording:
     """The channels of a file, or of what is in memory already."""
     if is_source(source):
         return recording_in(source, request)
-    path = check_path(source, name)
-    check_readable(path, name)
+    path = check_file(source, name)
     return read_file(path, request)
 
 

@@ -20,13 +20,12 @@ import numpy as np
 from scipy import sparse
 from scipy.io import mminfo, mmread
 
-from pymc_features._checks import check_path, listed
+from pymc_features._checks import check_file, listed
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.formats.text import read_columns
 from pymc_features.io.reading.lines import (
     Lines,
     by_library,
-    check_readable,
     check_size,
     column_width,
     shortened,
@@ -253,8 +252,7 @@ def read_matrices(path: str | PathLike) -> Matrices:
     ...     sorted(read_matrices(path))
     ['K', 'M']
     """
-    path = check_path(path)
-    check_readable(path)
+    path = check_file(path)
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"`path` must end in {', '.join(READERS)}, got {path.name}. Export the matrices.")

@@ -13,10 +13,9 @@ from os import PathLike
 import numpy as np
 from scipy import sparse
 
-from pymc_features._checks import as_list, check_number, check_path, listed, message, shown, warn_caller
+from pymc_features._checks import as_list, check_file, check_number, listed, message, shown, warn_caller
 from pymc_features.io import read_matrices
 from pymc_features.io.reading.labels import system_of_units
-from pymc_features.io.reading.lines import check_readable
 from pymc_features.structures.linear import DofNames
 
 DIRECTIONS = {  # by dimensions and degrees of freedom of a node
@@ -211,8 +210,7 @@ class Exports:
             if part not in (None, *NAMES) or pair is None or len(pair) != 2:
                 what = f"a path, or a mapping of {', '.join(NAMES)} to paths or (path, name)"
                 raise TypeError(message(name, what, shown(source)))
-            path = check_path(pair[0], name)
-            check_readable(path, name)
+            path = check_file(pair[0], name)
             matrices = read_matrices(path)
             for matrix, value in matrices.items():
                 usual = next((one for one, names in NAMES.items() if matrix.lower() in names), None)

@@ -2,7 +2,6 @@
 
 import codecs
 import re
-import stat
 from array import array
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks import message, shown, warn_caller
+from pymc_features._checks import warn_caller
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
 _WIDTH = re.compile(r"(?<!\d)\d{0,3}[FEI](\d{1,3})", re.IGNORECASE | re.ASCII)
@@ -26,25 +25,6 @@ TIMES = 20  # the size of the file
 ALWAYS = 64 * 2**20  # bytes; small files of much compressed or sparse arrays
 SAMPLE = 400  # bytes that tell the encoding
 RARE, FEWEST_LINES = 0.02, 8  # of lines of another width than the others, and how many tell the width
-
-
-def check_readable(path: Path, name: str = "path") -> None:
-    """Refuse folders, missing files and files that cannot be opened."""
-    try:
-        mode = path.stat().st_mode
-        if stat.S_ISREG(mode):
-            path.open("rb").close()
-    except (FileNotFoundError, NotADirectoryError):
-        raise FileNotFoundError(
-            f"`{name}` must be an existing file, got {path}. The current folder is {Path.cwd()}."
-        ) from None
-    except OSError as error:  # no permission, a name that is too long
-        raise type(error)(f"`{name}` must be readable, got {shown(str(path))}: {error.strerror}.") from error
-    if stat.S_ISDIR(mode):
-        raise IsADirectoryError(f"`{name}` must be a file, got the folder {path}. Name a file in it.")
-    if not stat.S_ISREG(mode):  # devices have no end
-        got = f"the device or pipe {path}"
-        raise OSError(message(name, "a file", got, "Copy its contents into a file."))
 
 
 def _utf_16(raw: bytes) -> str | None:

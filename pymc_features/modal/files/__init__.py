@@ -8,9 +8,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pymc_features._checks import check_flag, check_path, check_texts
+from pymc_features._checks import check_file, check_flag, check_texts
 from pymc_features.io.formats.libraries import is_universal
-from pymc_features.io.reading.lines import check_readable
 from pymc_features.io.reading.recording import Opening
 from pymc_features.modal import ModalData
 from pymc_features.modal.files.quantities import check_names, modal_data
@@ -93,7 +92,7 @@ def read_modal(
     if channels is not None and not isinstance(channels, str | Mapping):
         channels = check_texts(channels, "channels", "a sequence of names, or a mapping of names to channels")
     if isinstance(source, str | PathLike):
-        path = check_path(source, "source")
+        path = check_file(source, "source")
         return modal_data(_read_file(path, asked, channels), channels, real)
     if is_oma(source):
         _refuse_names(asked, "a result of pyOMA2")
@@ -108,7 +107,6 @@ def read_modal(
 
 def _read_file(path: Path, names: dict[str, str], channels):
     """The modes in a file, whose kind is known by its first bytes."""
-    check_readable(path, "source")
     opening = Opening.of(path)
     if opening.suffix == ".mat" or opening.head.startswith(b"MATLAB ") or h5py.is_hdf5(path):
         return read_mat_modes(path, names)
