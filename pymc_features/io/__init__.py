@@ -8,7 +8,7 @@ import numpy as np
 from pymc_features._checks import warn_caller
 from pymc_features.io.channels import (
     check_column,
-    checked_request,
+    checked,
     read_channels,
     read_channels_with_gaps,
     recording_from,
@@ -17,7 +17,7 @@ from pymc_features.io.cyclic import read_cyclic_test
 from pymc_features.io.formats import FORMATS
 from pymc_features.io.matrices import read_matrices
 from pymc_features.io.reading.labels import G
-from pymc_features.io.reading.recording import chosen, in_si, named
+from pymc_features.io.reading.recording import Request, chosen, in_si, named
 from pymc_features.io.write import write_channels
 from pymc_features.records import Record
 
@@ -101,7 +101,7 @@ def read_record(
     ...     read_record(path)
     Record('pulse', 3 samples, dt=0.02 s, duration=0.04 s, pga=1.962 m/s^2)
     """
-    request = checked_request(units, dt, None, None, 0, wrapped)
+    request = checked(Request(units=units, dt=dt, wrapped=wrapped))
     columns = None if column is None else [check_column(column, "column")]
     recording = recording_from(path, request, "path")
     found = chosen(recording, columns, "column")

@@ -132,8 +132,8 @@ def read_channels(
     ...     read_channels(path).sel(sensor="roof").values
     array([0.   , 2.943, 0.981])
     """
-    request = checked_request(units, dt, clock, clock_units, skip, wrapped)
-    return _read(files, columns, request, resample)
+    asked = Request(None, units, dt, clock, clock_units, skip, wrapped)
+    return _read(files, columns, checked(asked), resample)
 
 
 def read_channels_with_gaps(
@@ -187,32 +187,30 @@ def read_channels_with_gaps(
     array([[ 0.1,  0. , -0.2,  nan,  0.1],
            [ 0. ,  nan,  0.1,  nan,  0.2]])
     """
-    request = checked_request(units, dt, clock, clock_units, skip, wrapped)
-    return _read(files, columns, request._replace(gaps=True), resample)
+    asked = Request(None, units, dt, clock, clock_units, skip, wrapped, gaps=True)
+    return _read(files, columns, checked(asked), resample)
 
 
-def checked_request(units, dt, clock, clock_units, skip, wrapped, quantity="acceleration", sensitivity=None):
+def checked(asked: Request) -> Request:
     """What the caller says of all files, or of the file of one sensor, checked."""
-    quantity = check_choice(quantity, "quantity", QUANTITIES)
-    if wrapped is not None:
-        check_flag(wrapped, "wrapped", "Leave it out for what the file shows.")
-    if clock is True:
+    quantity = check_choice(asked.quantity, "quantity", QUANTITIES)
+    if asked.wrapped is not None:
+        check_flag(asked.wrapped, "wrapped", "Leave it out for what the file shows.")
+    if asked.clock is True:
         raise TypeError("`clock` must be a column, False or None, got True.")
-    if clock is False and dt is None:
+    if asked.clock is False and asked.dt is None:
         raise ValueError(f"`dt` must be given with clock=False. {SAMPLING_INTERVAL}")
-    if units is not None:
-        unit_factor(units, quantity if sensitivity is None else "voltage")
-    if sensitivity is not None:
-        sensitivity_of(sensitivity, quantity)
-    return Request(
-        units=units,
-        dt=None if dt is None else check_step(dt),
-        clock=clock if clock is None or clock is False else check_column(clock, "clock"),
-        clock_units=None if clock_units is None else clock_seconds(clock_units),
-        skip=check_integer(skip, "skip", least=0, advice="It counts rows at the start."),
-        wrapped=wrapped,
-        quantity=quantity,
-        sensitivity=sensitivity,
+    if asked.units is not None:
+        unit_factor(asked.units, quantity if asked.sensitivity is None else "voltage")
+    if asked.sensitivity is not None:
+        sensitivity_of(asked.sensitivity, quantity)
+    return asked._replace(
+        dt=None if asked.dt is None else check_step(asked.dt),
+        clock=asked.clock
+        if asked.clock is None or asked.clock is False
+        else check_column(asked.clock, "clock"),
+        clock_units=None if asked.clock_units is None else clock_seconds(asked.clock_units),
+        skip=check_integer(asked.skip, "skip", least=0, advice="It counts rows at the start."),
     )
 
 
@@ -364,10 +362,10 @@ def _of_sensor(name, given: dict, request: Request, resampled: bool) -> tuple[ob
             what = "two pairs of a reading of the clock and its true time in seconds, the later second"
             raise ValueError(message("anchors", what, shown(given["anchors"])))
         settings["anchors"] = numbers[:2], numbers[2:]
-    source, column = given["file"], given.get("column")
-    own = checked_request(**{key: given.get(key, getattr(request, key)) for key in OF_ALL})
-    picked = request.columns if column is None else [check_column(column, "column")]
-    return source, own._replace(columns=picked, gaps=request.gaps), settings
+    own = checked(request._replace(**{key: given[key] for key in OF_ALL if key in given}))
+    if given.get("column") is not None:
+        own = own._replace(columns=[check_column(given["column"], "column")])
+    return given["file"], own, settings
 
 
 def check_column(column, name: str) -> int | str:

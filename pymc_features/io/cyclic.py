@@ -5,9 +5,9 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 from pymc_features._checks import as_list, check_path, message, shown
-from pymc_features.io.channels import check_column, checked_request, recording_from
+from pymc_features.io.channels import check_column, checked, recording_from
 from pymc_features.io.reading.labels import role_of, unit_factor, unit_of
-from pymc_features.io.reading.recording import Channel, Recording, chosen, in_si, named
+from pymc_features.io.reading.recording import Channel, Recording, Request, chosen, in_si, named
 from pymc_features.records import CyclicTest
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def read_cyclic_test(
         if unit is not None:
             unit_factor(unit, kind)
     wrapped = False if wrapped is None and columns is not None else wrapped
-    request = checked_request(None, dt, False, None, skip, wrapped)
+    request = checked(Request(dt=dt, clock=False, skip=skip, wrapped=wrapped))
     recordings = [recording_from(path, request, "files") for path in paths]
     found = []
     for kind, column, unit, place in zip(KINDS, picked, given, (0, int(is_one)), strict=True):
