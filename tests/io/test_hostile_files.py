@@ -144,7 +144,7 @@ PROMISES = {  # what is said: what is given
     "k.mat must be a MATLAB .mat file.*must not be larger than 6.71e.07 bytes": ("k.mat", compressed_zeros),
     "k.mat must be a MATLAB .mat file.*must not hold arrays of more .* got": ("k.mat", sparse_hdf5_group),
     "m.mat must be a MATLAB .mat file, it cannot be read": ("m.mat", mat_of_terabytes),
-    "m.mat must be a MATLAB .mat file, it cannot be .*tuple index|matrix announces": (
+    "m.mat must be a MATLAB .mat file, it cannot be read .*byteswapping": (
         "m.mat",
         mat_5_that_begins_as_mat_4,
     ),

@@ -1,12 +1,12 @@
-"""MATLAB .mat files: versions 4 to 7 by their layout, 7.3 and other HDF5 files by h5py.
+"""MATLAB .mat files: version 4 by SciPy, 5 to 7 by their layout, 7.3 and other HDF5 files by h5py.
 
 Arrays of numbers and text are read, those in structures too, as `name.field`. Objects, cells and function
 handles are passed over, nothing in the file is executed, and an HDF5 file cannot send the reader to another
-file. SciPy does not read them: it takes types and lengths as they are, and a spoilt one ends the process.
+file.
 
 Versions 5 to 7: a header of 128 bytes, then elements of a type, a number of bytes, and those bytes; an array
-is an element of elements, and may be compressed. Version 4: 20 bytes above each matrix. The MathWorks,
-MAT-File Format, sections 1 and 2.
+is an element of elements, and may be compressed. SciPy does not read these: it takes types and lengths as
+they are, and a spoilt one ends the process. The MathWorks, MAT-File Format, section 1.
 """
 
 import math
@@ -14,6 +14,7 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from pymc_features.io.reading.recording import Channel, Columns, Format, Recordi
 #: Quantity and SI units of numbers that state the step.
 SCALARS = {"dt": ("time", 1.0)} | dict.fromkeys(("fs", "samplingrate", "samplerate"), ("frequency", 1.0))
 DEEPEST = 4  # structures in one another
-HEADER, VERSION = 128, b"\1\0"  # bytes, and those of the version, the least first
+HEADER = 128  # bytes
 COMPRESSED, ARRAY = 15, 14  # types of elements
 STRUCTURE, TEXT, SPARSE, NUMBERS = 2, 4, 5, range(6, 16)  # classes of arrays
 CHUNK = 2**16  # bytes that are decompressed at a time
@@ -34,7 +35,6 @@ LOGICAL, COMPLEX = 0x0200, 0x0800  # flags
 #: Numbers of a type of elements, and the codec of a text.
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 CODECS = {1: "latin-1", 2: "latin-1", 4: "utf-16-{}", 16: "utf-8", 17: "utf-16-{}", 18: "utf-32-{}"}
-TYPES_4 = ("f8", "f4", "i4", "i2", "u2", "u1")  # by the tens of the type
 
 
 def load_variables(path: Path) -> dict[str, np.ndarray]:
@@ -45,12 +45,16 @@ def load_variables(path: Path) -> dict[str, np.ndarray]:
         if h5py.is_hdf5(path):
             return _load_hdf5(path)
         raw = memoryview(path.read_bytes())
-        pairs = [*(_read_4(raw) if 0 in raw[:4] else _read_5(path, raw))]  # the header of version 5 is text
-        found = {name: value for name, value in pairs if name and not name.startswith("__")}
-        names = [name for name, _ in pairs if "." not in name]
-        if len(set(names)) < len(names):
-            raise ValueError("a variable is there twice")
-        return found
+        if 0 in raw[:4]:  # version 4, of which SciPy's reader is in Python; the header of version 5 is text
+            from scipy.io import loadmat
+
+            pairs = loadmat(BytesIO(raw), spmatrix=False).items()
+        else:
+            pairs = [*_read_5(path, raw)]
+            names = [name for name, _ in pairs if "." not in name]
+            if len(set(names)) < len(names):
+                raise ValueError("a variable is there twice")
+        return {name: value for name, value in pairs if name and not name.startswith("__")}
     except Exception as error:  # each damaged file fails in its own way
         kind = "a MATLAB .mat" if path.suffix.lower() == ".mat" else "an HDF5"
         raise ValueError(
@@ -122,29 +126,6 @@ def _array_5(parts, order: str, prefix: str, depth: int) -> Iterator[tuple[str, 
     elif kind in NUMBERS:
         values = numbers(3) + 1j * numbers(4) if flags & COMPLEX else numbers(3)
         yield name, values.reshape(dims, order="F")
-
-
-def _read_4(raw: memoryview) -> Iterator[tuple[str, np.ndarray]]:
-    """Names and values; type, rows, columns, whether complex, and length of the name stand above each."""
-    start, order = 0, "<" if int.from_bytes(raw[:4], "little") <= 5000 else ">"  # of all
-    while start + 20 <= len(raw):
-        kind, rows, columns, imaginary, n_name = struct.unpack_from(f"{order}5I", raw, start)
-        stored, content, first = np.dtype(order + TYPES_4[kind // 10 % 10]), kind % 10, start + 20 + n_name
-        name, start = start + 20, first + rows * columns * (1 + imaginary) * stored.itemsize
-        if kind >= 5000 or imaginary > 1 or content > 2 or start > len(raw):
-            raise ValueError(f"a matrix announces {rows} x {columns} numbers, the file ends before")
-        parts = np.frombuffer(raw[first:start], stored).reshape(1 + imaginary, columns, rows)
-        values = (parts[0] + 1j * parts[1] if imaginary else parts[0]).T
-        if content == 1:  # text
-            values = np.array(["".join(map(chr, row)) for row in values.astype(np.int64)])
-        elif content == 2:  # sparse: rows, columns and entries, with the shape at their ends
-            from scipy import sparse
-
-            *entries, shape = values.astype(np.float64)
-            places, data = np.array(entries)[:, :2].astype(np.int64).T - 1, np.array(entries)[:, 2:]
-            data = data[:, 0] + 1j * data[:, 1] if data.shape[1] > 1 else data[:, 0]
-            values = sparse.csc_array((data, tuple(places)), shape=shape[:2].astype(np.int64))
-        yield bytes(raw[name:first]).split(b"\0")[0].decode("latin-1"), values
 
 
 def _compressed(n_rows: int, starts: np.ndarray, rows: np.ndarray, data: np.ndarray):
