@@ -54,10 +54,7 @@ class Matrices(dict):
 
 
 def read_mtx(path: Path) -> Matrices:
-    """A matrix of Matrix Market or of Abaqus, which have the same ending.
-
-    SciPy reads it once the numbers have been looked at: of 1.5x and 1.5D3 it would take the beginning.
-    """
+    """A matrix of Matrix Market or of Abaqus, which have the same ending."""
     lines = Lines(path)
     if not lines.text.lstrip().lower().startswith("%%matrixmarket"):
         return _abaqus(path, lines)
@@ -69,7 +66,7 @@ def read_mtx(path: Path) -> Matrices:
         what = f"{field} {symmetry}, {shape[0]} x {shape[1]}"
         raise lines.error("the matrix must be real, and general, symmetric or skew-symmetric", what)
     lines.number = next(number for number, line in lines if not line.startswith("%"))  # that of the size
-    body = _numbers(lines, 3 if layout == "coordinate" else 1)
+    body = _numbers(lines, 3 if layout == "coordinate" else 1)  # of 1.5x SciPy would take the beginning
     if layout == "array":
         check_size(path, [8 * shape[0] * shape[1]])
         # of symmetric ones the columns from the diagonal on stand one below the other, of skew ones below it
@@ -81,10 +78,7 @@ def read_mtx(path: Path) -> Matrices:
 
 
 def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
-    """Rows of numbers (row, column) down to the end, between blanks; without lines of * or %.
-
-    Without a number of columns they are those of Abaqus, which has three or five, between commas or blanks.
-    """
+    """Rows of numbers (row, column) below the header; three or five, by default, as Abaqus has them."""
     mark = "," if n_columns is None else " "
     rows = (row.replace(mark, " ") for number, row in lines if number > lines.number)
     rows = [row for row in rows if row[:1] not in "*%"]

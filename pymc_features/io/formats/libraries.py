@@ -262,10 +262,7 @@ def read_waveforms(path: Path, request: Request) -> Recording:
 
 
 def stamped_steps(path: Path, stream) -> dict[str, float]:
-    """Steps [s] by the times of a file's records, of channels whose header says another one, with a warning.
-
-    Half a sample over the length of the record is another one, and three records tell.
-    """
+    """Steps [s] by the times of records, of channels whose header is off by half a sample over all."""
     from obspy.io.mseed.util import get_record_information
 
     records, found = {}, {}
@@ -469,10 +466,7 @@ def _of_array(array) -> Recording:
 
 
 def _of_dict(entry: Mapping) -> Channel:
-    """A channel by SEP005, proposal 5 of the Structural Health Monitoring community's `sdypy`.
-
-    `data` (time,), `name`, `unit_str`, `fs` [Hz] or `time` (time,) [s], `start_timestamp` as text or date.
-    """
+    """A channel by SEP005, proposal 5 of the Structural Health Monitoring community's `sdypy`."""
     missing = [key for key in SEP005 if key not in entry]
     if missing or not ("fs" in entry or "time" in entry):
         raise ValueError(

@@ -140,10 +140,7 @@ def _compressed(n_rows: int, starts: np.ndarray, rows: np.ndarray, data: np.ndar
 
 
 def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
-    """Variables of version 7.3: arrays are stored transposed, text as 16-bit codes, structures as groups.
-
-    Other HDF5 files have facts in attributes: `units` of a data set, which go to its name, `dt` and `fs`.
-    """
+    """Variables of version 7.3, and of other HDF5 files, which have `units`, `dt` and `fs` in attributes."""
     import h5py
 
     variables, sizes = {}, []

@@ -83,11 +83,7 @@ def check_end(lines: Lines, what: str) -> None:
 
 
 def labelled(lines: Lines, end: str | None = None) -> dict[str, str]:
-    """Facts by their labels, `LABEL: value`, down to a line that begins with `end` or to the first number.
-
-    A label is in capitals and stays with its first value. The line that begins with `end` is taken, a number
-    is not.
-    """
+    """Facts by their labels in capitals, `LABEL: value`, down to a line with `end` or to a first number."""
     facts = {}
     while True:
         following = (lines.peek() or "").split()

@@ -109,12 +109,7 @@ def _stamp(cells: list[str]) -> tuple[int, ...]:
 
 
 def read_columns(path: Path, request: Request) -> Columns:
-    """The table of a text file, without its first `request.skip` rows.
-
-    With `request.gaps` cells below the first row may be "nan" or empty: NaN. With `request.wrapped` its
-    values are one series that runs along the lines, and the table has one column, or, if they are times and
-    values in turn, two.
-    """
+    """The table of a text file without the rows to skip; of a wrapped series one column, or two."""
     lines = Lines(path)
     if COMPACT.search(lines.raw, 0, FEW):
         lines.raw = COMPACT.sub(rb"\1-\2-\3T\4:\5:\6", lines.raw)
@@ -327,10 +322,7 @@ def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[L
 
 
 def _named(line: str, layout: Layout) -> list[str] | None:
-    """One label for each column, blanks allowed before a bracket: "time [s] acc [g]".
-
-    A time stamp of date and time may have two, of which the second stays.
-    """
+    """One label for each column, such as "time [s] acc [g]"; of the two of a time stamp the second."""
     own = split(line, layout.separator)
     own = own[: layout.count] if len(without_ends(own)) <= layout.count else own
     if len(layout.stamp) == 2 and len(own) == layout.count:
@@ -383,10 +375,7 @@ def _by_pandas(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndar
 
 
 def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) -> tuple[float, np.ndarray]:
-    """Rows of any spelling (row, column), NaN where a cell is empty; the error names what is spoilt.
-
-    Of a series that runs along the lines only the last row may be shorter; NaN fills it.
-    """
+    """Rows of any spelling (row, column), NaN in gaps and behind a wrapped series."""
     values, texts, short = array("d"), [], None
     for number, line in _rows(lines, first):
         where, cells = f"{lines.file}, line {number}", layout.cells(line)
@@ -449,11 +438,7 @@ def _resolution(lines: Lines, start: int, layout: Layout, index: int, largest: f
 
 
 def seconds_of(texts: list[str], file: str) -> tuple[float, np.ndarray]:
-    """Midnight before the first of some time stamps [s since 1970], and the seconds since then (stamp,).
-
-    Without dates they are seconds of a day, past whose end they may run. A time zone is taken into account,
-    a half of the day too.
-    """
+    """Midnight before the first time stamp [s since 1970], 0 without dates, and the seconds since."""
     from datetime import UTC, datetime
 
     found = [STAMP.fullmatch(text) for text in texts]

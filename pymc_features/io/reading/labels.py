@@ -226,10 +226,7 @@ def system_of_units(text: str) -> tuple[float, float, float]:
 
 
 def resolve_units(units, stated: str | None, source: str, quantity: str = "acceleration") -> float:
-    """Factor [SI per file unit] by the file, or by the argument where the file does not say it.
-
-    A number within 1 % of what the file states (9.80665 for "g") is no contradiction.
-    """
+    """Factor [SI per file unit] by the file, or by the argument where the file does not say it."""
     known = None if stated is None else unit_of(stated)
     if known is not None and known.quantity != quantity:
         advice = f"Pass the columns that are {PLURALS[quantity]}."
@@ -246,7 +243,7 @@ def resolve_units(units, stated: str | None, source: str, quantity: str = "accel
             raise ValueError(f"`units` must be given, {source} {said}. Pass one of {choices(quantity)}.")
         return known.factor
     factor = unit_factor(units, quantity)
-    if known is not None and not np.isclose(factor, known.factor, rtol=0.01, atol=0.0):
+    if known is not None and not np.isclose(factor, known.factor, rtol=0.01, atol=0.0):  # 9.80665 is one g
         raise ValueError(
             f"`units` must be those of the file, {source} states {stated!r}, got {shown(units)}. Leave "
             "`units` out, or correct the file."
