@@ -29,7 +29,7 @@ from pymc_features._checks import (
 from pymc_features.io.formats import read_file
 from pymc_features.io.formats.libraries import is_source, recording_in
 from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time, without_clocks
-from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
+from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of
 from pymc_features.io.reading.recording import Recording, Request, chosen, in_si
 
 if TYPE_CHECKING:
@@ -193,17 +193,15 @@ def read_channels_with_gaps(
 
 def checked(asked: Request) -> Request:
     """What the caller says of all files, or of the file of one sensor, checked."""
-    quantity = check_choice(asked.quantity, "quantity", QUANTITIES)
+    check_choice(asked.quantity, "quantity", QUANTITIES)
     if asked.wrapped is not None:
         check_flag(asked.wrapped, "wrapped", "Leave it out for what the file shows.")
     if asked.clock is True:
         raise TypeError("`clock` must be a column, False or None, got True.")
     if asked.clock is False and asked.dt is None:
         raise ValueError(f"`dt` must be given with clock=False. {SAMPLING_INTERVAL}")
-    if asked.units is not None:
-        unit_factor(asked.units, quantity if asked.sensitivity is None else "voltage")
     if asked.sensitivity is not None:
-        sensitivity_of(asked.sensitivity, quantity)
+        sensitivity_of(asked.sensitivity, asked.quantity)
     return asked._replace(
         dt=None if asked.dt is None else check_step(asked.dt),
         clock=asked.clock

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pymc_features._checks import as_list, check_path, message, shown
+from pymc_features._checks import as_list, message, shown
 from pymc_features.io.channels import check_column, checked, recording_from
-from pymc_features.io.reading.labels import role_of, unit_factor, unit_of
+from pymc_features.io.reading.labels import role_of, unit_of
 from pymc_features.io.reading.recording import Channel, Recording, Request, chosen, in_si, named
 from pymc_features.records import CyclicTest
 
@@ -76,13 +77,10 @@ def read_cyclic_test(
     import xarray as xr  # slow to import
 
     is_one = isinstance(files, str | PathLike)
-    paths = [check_path(path, "files") for path in ([files] if is_one else pair(files, "files", "paths"))]
+    paths = [files] if is_one else pair(files, "files", "paths")
     picked = [None, None] if columns is None else pair(columns, "columns", "an index or a name each")
     picked = [None if column is None else check_column(column, "columns") for column in picked]
     given = [None, None] if units is None else pair(units, "units", "one of length and one of force")
-    for unit, kind in zip(given, KINDS, strict=True):
-        if unit is not None:
-            unit_factor(unit, kind)
     wrapped = False if wrapped is None and columns is not None else wrapped
     request = checked(Request(dt=dt, clock=False, skip=skip, wrapped=wrapped))
     recordings = [recording_from(path, request, "files") for path in paths]
@@ -95,10 +93,10 @@ def read_cyclic_test(
     displacement, force = found
     if displacement.size != force.size:
         raise ValueError(
-            f"`files` must have as many displacements as forces, got {displacement.size} in {paths[0].name} "
-            f"and {force.size} in {paths[-1].name}. Cut them to the same rows."
+            f"`files` must have as many displacements as forces, got {displacement.size} in "
+            f"{recordings[0].file} and {force.size} in {recordings[-1].file}. Cut them to the same rows."
         )
-    test = CyclicTest(displacement, request.dt, name=paths[0].stem)
+    test = CyclicTest(displacement, request.dt, name=Path(recordings[0].file).stem)
     coords = {"sensor": ["force"], "time": ("time", test.time, {"units": "s"})}
     return test, xr.DataArray(force[None], coords, ("sensor", "time"), "restoring_force", {"units": "N"})
 

@@ -407,7 +407,6 @@ def read_csmip(lines: Lines) -> list[Channel]:
 def _section(lines: Lines, quantity: str, name: str, peak: float | None = None) -> Channel:
     """A series below the line that says how many values there are, how far apart, and in which unit."""
     count, line = _counted(lines, f"the number of points of {quantity} data", quantity, "points")
-    count = positive(lines, count, "the number of points")
     dt = positive(lines, number_after(line, "spaced at"), "the step")
     values = lines.fields(count, column_width(line, 10), "values")
     check_peak(lines, name, values, peak)
@@ -426,7 +425,6 @@ def _volume_1(lines: Lines, text: list[str]) -> Channel:
     else:
         count, line = _counted(lines, "the number of points, and their rate in pts/sec,", "pts/sec")
         rate = positive(lines, number_after(line, "points at"), "the samples in a second")
-        count = positive(lines, count, "the number of points")
         values, spacing = lines.fields(count, column_width(line, 9), "values"), {"dt": 1.0 / rate}
         unit = line.partition("units of")[2]
     word = next(iter(unit.split()), "").strip(".,")
@@ -450,7 +448,7 @@ def read_geonet(lines: Lines) -> list[Channel]:
             raise lines.error("a component must begin with its volume", repr(text[0].strip()[:60]))
         integers, reals = lines.fields(40, 8, "integers"), lines.fields(60, 8, "reals")
         step = STEP_1 if volume.startswith("uncorrected") else STEP_2
-        n_times = positive(lines, int(integers[POINTS]), "the number of points")
+        n_times = int(integers[POINTS])
         dt = positive(lines, float(reals[step]), "the step")
         said, words = number_after(text[9], "points"), text[10].split()
         steps = [to_number(a) for a, b in zip(words, words[1:], strict=False) if b.lower() in ("s", "sec")]
@@ -483,7 +481,7 @@ def read_smc(lines: Lines) -> list[Channel]:
     if "accelerogram" not in text[0].lower():
         raise ValueError(f"{lines.title} must hold an acceleration, got {text[0].strip()[:40]!r}.")
     integers, reals = lines.fields(48, 10, "integers"), lines.fields(50, 15, "reals")
-    n_values = positive(lines, int(integers[N_VALUES]), "the number of values")
+    n_values = int(integers[N_VALUES])
     _comments(lines, int(integers[N_COMMENTS]))
     values = lines.fields(n_values, 10, "values")
     check_end(lines, f"the {n_values} values")
