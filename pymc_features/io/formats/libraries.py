@@ -109,35 +109,33 @@ def _channel(file: str, found: dict, raw: bytes) -> Channel:
     axis = AXES[abs(direction) - 1] if 1 <= abs(direction) <= len(AXES) else ""
     name = f"{found['rsp_node']}{'-' if direction < 0 else ''}{axis}"
     try:
-        return _history(name, f"{file} ({NAME}), {name}", found, raw)
+        return _history(name, found, raw)
     except ValueError as error:
-        return Channel(name, np.zeros(0), problem=str(error))
+        return Channel(name, np.zeros(0), problem=f"{file} ({NAME}), {name}: {error}")
 
 
-def _history(name: str, where: str, found: dict, raw: bytes) -> Channel:
-    """The numbers of a data set on their clock; `where` is how a message calls it."""
+def _history(name: str, found: dict, raw: bytes) -> Channel:
+    """The numbers of a data set on their clock."""
     if found["func_type"] != TIME_RESPONSE or np.iscomplexobj(found["data"]):
         raise ValueError(
-            f"{where}: functions must be time histories, type 1, got type {found['func_type']}. Identify the "
-            "modes from frequency response functions first."
+            f"functions must be time histories, type 1, got type {found['func_type']}. Identify the modes "
+            "from frequency response functions first."
         )
     values, times = np.asarray(found["data"], dtype=np.float64), np.asarray(found["x"], dtype=np.float64)
     n = found["num_pts"]
     if n < values.size < n + PER_LINE and not values[n:].any():  # the last line is filled up with zeros
         values, times = values[:n], times[:n]
     if values.size != n or times.size != n or n < 2 or not np.isfinite(times).all():
-        raise ValueError(
-            f"{where}: the {n} samples of the header must be there, at least 2, got {values.size}. Fetch the "
-            "file again."
-        )
+        what = f"the {n} samples of the header must be there, at least 2, got {values.size}"
+        raise ValueError(f"{what}. Fetch the file again.")
     if found["binary"]:  # which must reach to the end of the data set, else a byte was lost or added
         order, stored = found["byte_ordering"], "f4" if found["ord_data_type"] in SINGLE else "f8"
         last = values[-1:].astype(("<" if order == 1 else ">") + stored).tobytes()
         whole = any(last + end + b"    -1" in raw for end in (b"", b"\n", b"\r\n"))
         if order not in BYTE_ORDERS or found["fp_format"] != IEEE or not whole:
             raise ValueError(
-                f"{where}: binary numbers must be IEEE, 2, of byte order 1 or 2, and reach to the end of "
-                f"their data set, got {found['fp_format']} and {order}. Fetch the file again."
+                "binary numbers must be IEEE, 2, of byte order 1 or 2, and reach to the end of their data "
+                f"set, got {found['fp_format']} and {order}. Fetch the file again."
             )
     label, unit = (
         "" if text.lower() in UNLABELLED else text
@@ -145,10 +143,10 @@ def _history(name: str, where: str, found: dict, raw: bytes) -> Channel:
     )
     clock = unit_of(label or "s")
     if clock is None or clock.quantity != "time":
-        raise ValueError(f"{where}: times must be in a unit of time, got {label!r}. Export seconds.")
+        raise ValueError(f"times must be in a unit of time, got {label!r}. Export seconds.")
     times = clock.factor * times
     quantum = 1e-5 * float(np.abs(times).max())  # six digits are printed
-    spacing = even_or_times(times, quantum, lambda row: f"{where}, sample {row}")
+    spacing = even_or_times(times, quantum, lambda row: f"sample {row}")
     quantity = QUANTITY_OF_TYPE.get(kind := found["ordinate_spec_data_type"], f"data of type {kind}")
     return Channel(name, values, unit or None, **spacing, start=float(times[0]), quantity=quantity)
 
@@ -185,18 +183,14 @@ UNIVERSAL = Format(
 
 VERSIONS = (6, 7)  # of the SAC header
 FEWEST_STAMPS = 3  # by which the step is told
-SAC_HEADER, VERSION, COUNT = 632, 304, 316  # bytes: of it, and where version and number of values stand
+SAC_HEADER, SAC_FACTS = 632, "f300xi8xi"  # bytes of it; step, and behind what is skipped version and count
 
 
 def _is_sac(opening: Opening) -> bool:
     """A header of 632 bytes, in either order, with its version, a step and the number of values."""
-    head = opening.head
-    if opening.lines or len(head) < SAC_HEADER:
+    if opening.lines or len(opening.head) < SAC_HEADER:
         return False
-    read = struct.unpack_from
-    found = [
-        (read(f"{o}f", head)[0], *read(f"{o}i", head, VERSION), *read(f"{o}i", head, COUNT)) for o in "<>"
-    ]
+    found = [struct.unpack_from(order + SAC_FACTS, opening.head) for order in "<>"]
     return any(step > 0.0 and version in VERSIONS and count > 0 for step, version, count in found)
 
 
