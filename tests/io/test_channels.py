@@ -246,7 +246,10 @@ MATLAB_REFUSED = {  # what is said: what is given
     "`t` must have one time for each sample, got 5 beside a": ({"a": MOTION[0], "t": np.arange(5.0)}, {}),
     "`dt` must be given, frame.mat does not state": ({"a": MOTION[0]}, {}),
     r"time must be the longer side of a matrix, got shape \(4, 4\)": ({"a": MOTION[:4, :4], "dt": 0.1}, {}),
-    "`a`, sample 0: values must be finite numbers, got nan": ({"a": MOTION[0] * np.nan, "dt": 0.1}, {}),
+    r"frame.mat, a: no samples may be missing, 80 are, the first after 0 s .nan": (
+        {"a": MOTION[0] * np.nan, "dt": 0.1},
+        {},
+    ),
     "contradicts itself, it states a step of 0.1 s and its": ({"a": MOTION[0, :N], "t": TIME, "dt": 0.1}, {}),
     "must hold histories of at least 2 samples": ({"a": MOTION[0], "dt": 0.1}, {"skip": 79}),
     "`t`, sample 30: no": ({"a": MOTION[0, :N], "t": np.delete(0.02 * np.arange(N + 2), [30, 31])}, {}),

@@ -184,7 +184,7 @@ ERROR_MESSAGES = {  # what is said: what is given
     "motion.mat, `t`, sample .: time steps must be even": {"ag": ACCELERATION, "t": TIME**1.1},
     "motion.mat, `t`, sample 1: time must increase": {"ag": ACCELERATION, "t": -TIME},
     "`column` must be given, motion.mat has the channels ag 0": {"ag": np.column_stack([ACCELERATION, TIME])},
-    "motion.mat, `ag`, sample 2: values must be finite numbers, got nan": {
+    r"motion.mat, ag: no samples may be missing, 1 are, the first after 0.04 s .nan": {
         "ag": np.where(TIME == 0.04, np.nan, ACCELERATION),
         "dt": 0.02,
         "units": "g",

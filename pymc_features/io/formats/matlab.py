@@ -216,9 +216,11 @@ def read_matlab(path: Path, request: Request) -> Recording:
             )
     channels = []
     for (inside, n_times), arrays in groups.items():
-        problems = {name: _problem(array, name, file, request.gaps) for name, array in arrays.items()}
-        channels += [Channel(name, np.zeros(0), problem=text) for name, text in problems.items() if text]
-        whole = {name: array for name, array in arrays.items() if not problems[name]}
+        whole = {name: array for name, array in arrays.items() if array.shape != (n_times, n_times)}
+        for name in arrays.keys() - whole.keys():
+            shape = f"shape {(n_times, n_times)}. Save vectors."
+            problem = f"{file}, `{name}`: time must be the longer side of a matrix, got {shape}"
+            channels.append(Channel(name, np.zeros(0), problem=problem))
         if whole and n_times - request.skip >= 2:
             facts = {name: value for name, value in variables.items() if _inside(name) in (inside, "")}
             columns = _columns(file, whole, n_times, request)._replace(
@@ -262,17 +264,6 @@ def _columns(file: str, arrays: dict[str, np.ndarray], n_times: int, request: Re
         lambda column: 4.0 * float(eps) * np.abs(values[:, column]).max(),
         own=next(iter(arrays.values())).ndim == 1,
     )
-
-
-def _problem(array: np.ndarray, name: str, file: str, gaps: bool) -> str:
-    """Why the numbers of a variable are no histories."""
-    bad, where = np.argwhere(np.isinf(array) if gaps else ~np.isfinite(array)), f"{file}, `{name}`"
-    if len(bad):
-        value, at = array[tuple(bad[0])], bad[0].max()
-        return f"{where}, sample {at}: values must be finite numbers, got {value}. Correct or cut it first."
-    square = array.ndim == 2 and array.shape[0] == array.shape[1]
-    what = f"time must be the longer side of a matrix, got shape {array.shape}. Save vectors."
-    return f"{where}: {what}" if square else ""
 
 
 def _stated_units(facts: Mapping, inside: str, file: str) -> str | None:

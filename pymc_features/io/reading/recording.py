@@ -171,13 +171,14 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
     values = (channel.values if channel.times is None else _interpolated(channel, dt, file))[skip:]
     sizes = np.abs(values)
     largest = np.nanmax(sizes, initial=0.0)
-    if not request.gaps and (missing := np.isnan(values)).any():
+    if (missing := np.isinf(values) if request.gaps else ~np.isfinite(values)).any():
         raise ValueError(
             f"{file}, {channel.name}: no samples may be missing, {missing.sum()} are, the first after "
-            f"{dt * missing.argmax():.6g} s. Cut the file to one side, or use `read_channels_with_gaps`."
+            f"{dt * missing.argmax():.6g} s ({values[missing.argmax()]}). Cut the file to one side, or use "
+            "`read_channels_with_gaps`."
         )
-    if values.size < 2 or largest == np.inf:
-        raise ValueError(f"{file}, {channel.name}: at least 2 finite samples must be there, got others.")
+    if values.size < 2:
+        raise ValueError(f"{file}, {channel.name}: at least 2 samples must be there, got {values.size}.")
     # a number of quite another size has a digit too many or too few in its exponent
     least = sizes.min(where=sizes > 0.0, initial=np.inf)
     alone = np.count_nonzero(sizes >= largest / ALONE) == 1
@@ -300,9 +301,9 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
     if timer is None:
         return {"dt": columns.dt}, numbers
     readings, label, asked = columns.values[:, timer], columns.labels[timer], request.clock_units
-    if (without := np.isnan(readings)).any():
+    if not (known := np.isfinite(readings)).all():
         raise ValueError(
-            f"{columns.where(int(without.argmax()), timer)}: the clock must have a time in every row, got "
+            f"{columns.where(int(known.argmin()), timer)}: the clock must have a time in every row, got "
             "none. Cut the row."
         )
     known = 1.0 if timer == columns.stamp else label.seconds
