@@ -28,8 +28,8 @@ from pymc_features._checks import (
 )
 from pymc_features.io.formats import read_file
 from pymc_features.io.formats.libraries import is_source, recording_in
-from pymc_features.io.reading.clock import Clock, clock_seconds, common_window, no_common_time, without_clocks
-from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of
+from pymc_features.io.reading.clock import Clock, common_window, no_common_time, without_clocks
+from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
 from pymc_features.io.reading.recording import Recording, Request, chosen, in_si
 
 if TYPE_CHECKING:
@@ -202,12 +202,13 @@ def checked(asked: Request) -> Request:
         raise ValueError(f"`dt` must be given with clock=False. {SAMPLING_INTERVAL}")
     if asked.sensitivity is not None:
         sensitivity_of(asked.sensitivity, asked.quantity)
+    seconds = asked.clock_units
     return asked._replace(
         dt=None if asked.dt is None else check_step(asked.dt),
         clock=asked.clock
         if asked.clock is None or asked.clock is False
         else check_column(asked.clock, "clock"),
-        clock_units=None if asked.clock_units is None else clock_seconds(asked.clock_units),
+        clock_units=None if seconds is None else unit_factor(seconds, "time", "clock_units"),
         skip=check_integer(asked.skip, "skip", least=0, advice="It counts rows at the start."),
     )
 

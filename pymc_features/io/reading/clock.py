@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import is_number, listed, shown, single, to_float, warn_caller
+from pymc_features._checks import listed, warn_caller
 from pymc_features.exceptions import ChannelWarning
-from pymc_features.io.reading.labels import unit_of
 
 _SIMULTANEOUS = 0.05  # of a sample; what clocks may differ by without a word
 _DRIFT = 0.5  # of a sample, from the first to the last sample in common
@@ -35,18 +34,6 @@ class Window(NamedTuple):
     start: float  # reading of the clocks at the first common sample [s], 0 without clocks
     n_times: int
     first: tuple[int, ...]  # first common sample of every channel
-
-
-def clock_seconds(units) -> float:
-    """Seconds per unit of a clock: "s", "ms", "us", "ns", "min", "h", "d" or a positive number."""
-    if isinstance(units, str) and (known := unit_of(units)) is not None and known.quantity == "time":
-        return known.factor
-    if is_number(single(units)) and 0.0 < to_float(single(units)) < np.inf:
-        return to_float(single(units))
-    raise ValueError(
-        '`clock_units` must be "s", "ms", "us", "ns", "min", "h", "d" or a positive number of seconds, got '
-        f"{shown(units)}."
-    )
 
 
 def even_clock(

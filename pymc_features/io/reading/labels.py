@@ -37,10 +37,8 @@ UNITS = {
     "pressure": {"psi": POUND / INCH**2, "Pa": 1.0, "hPa": 100.0, "kPa": 1e3, "MPa": 1e6}
     | {"bar": 1e5, "mbar": 100.0},
     "voltage": {"V": 1.0, "volt": 1.0, "mV": 1e-3, "uV": 1e-6},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-    | dict.fromkeys(("min", "minute"), 60.0)
-    | dict.fromkeys(("h", "hr", "hour"), 3600.0)
-    | dict.fromkeys(("d", "day"), 86400.0),
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
+    | {"minute": 60.0, "hr": 3600.0, "hour": 3600.0, "day": 86400.0},
     "frequency": {"Hz": 1.0, "kHz": 1e3, "1/s": 1.0},
     "temperature": {"degC": 1.0, "°C": 1.0},
     "angular velocity": {"deg/s": 1.0, "°/s": 1.0, "rad/s": 1.0, "dps": 1.0},
@@ -175,8 +173,8 @@ class Label(NamedTuple):
 
 def choices(quantity: str) -> str:
     """What `units` may be, as a message lists it."""
-    names = list(UNITS[quantity])[:6]
-    return ", ".join(f'"{name}"' for name in names) + f", or a number in {SI[quantity]} per file unit"
+    names = ", ".join(f'"{name}"' for name in list(UNITS[quantity])[:7])
+    return f"{names}, or a number in {SI.get(quantity, 's')} per file unit"
 
 
 def known_factor(unit: str) -> float | None:
@@ -185,16 +183,15 @@ def known_factor(unit: str) -> float | None:
     return found.factor if found is not None and found.quantity == "acceleration" else None
 
 
-def unit_factor(units, quantity: str = "acceleration") -> float:
+def unit_factor(units, quantity: str = "acceleration", name: str = "units") -> float:
     """SI units in one file unit of a quantity, in any usual spelling, or the factor itself, positive."""
-    if isinstance(units, str):
-        found = unit_of(units)
-        if found is None or found.quantity != quantity:
-            raise ValueError(f"`units` must be one of {choices(quantity)}, got {units!r}.")
-        return found.factor
+    known = unit_of(units) if isinstance(units, str) else None
+    if known is not None and known.quantity == quantity:
+        return known.factor
     if not is_number(single(units)):
-        raise TypeError(f"`units` must be one of {choices(quantity)}, got {shown(units)}.")
-    return check_positive(units, "units", f"Pass the {SI[quantity]} per file unit.")
+        error = ValueError if isinstance(units, str) else TypeError
+        raise error(message(name, f"one of {choices(quantity)}", shown(units)))
+    return check_positive(units, name, f"Pass the {SI.get(quantity, 's')} per file unit.")
 
 
 def sensitivity_of(sensitivity, quantity: str) -> float:
