@@ -270,11 +270,9 @@ def stamped_steps(path: Path, stream) -> dict[str, float]:
     for name, own in records.items():
         begins, counts = np.array(sorted(own)).T
         stated = next((trace.stats.delta for trace in stream if trace.id == name), None)
+        if stated is None or len(own) < FEWEST_STAMPS or np.diff(begins).max() > 1.5 * stated * counts.max():
+            continue  # of gaps no step is told
         places = np.append(0.0, np.cumsum(counts)[:-1])
-        if stated is None or len(own) < FEWEST_STAMPS:
-            continue
-        if np.diff(begins).max() > 1.5 * stated * counts.max():  # a gap
-            continue
         step = float(np.polyfit(places, begins - begins[0], 1)[0])
         if abs(step / stated - 1.0) * counts.sum() > 0.5:
             found[name] = step
