@@ -128,28 +128,25 @@ class Lines:
 
         Neighbours may touch, as Fortran writes them. Only the last line may be shorter than the first.
         """
+        return self.words(count, what, width=width)
 
-        def cut(line: str) -> list[str]:
-            if len(line) % width or not line:
-                raise self.error(f"values must fill columns of {width} characters", f"{len(line)} characters")
-            return [line[start : start + width].lstrip() for start in range(0, len(line), width)]
-
-        return self._numbers(count, what, lambda: cut(self.take(f"{count} {what}").rstrip()), same=True)
-
-    def words(self, count: int, what: str, whole: bool = False, per_line: int | None = None) -> np.ndarray:
-        """Numbers (count,) with blanks between them, from as many lines as it takes; `whole`: counts."""
-        lines = f"{count // (per_line or 1)} {what}"
-        return self._numbers(count, what, lambda: self.take(lines).split(), whole, per_line or 0)
-
-    def _numbers(self, count: int, what: str, take, whole=False, per_line=0, same=False) -> np.ndarray:
-        """Numbers (count,) of the tokens of as many lines as it takes; with `same` as many in each line."""
-        values, size = array("d"), per_line
+    def words(
+        self, count: int, what: str, whole: bool = False, per_line: int = 0, width: int = 0
+    ) -> np.ndarray:
+        """Numbers (count,) between blanks, or in columns, from as many lines as it takes; `whole`: counts."""
+        values, wanted = array("d"), f"{count // (per_line or 1)} {what}"
         while len(values) < count:
-            tokens = take()
-            size = size or (len(tokens) if same else 0)
-            last = same and len(values) + len(tokens) == count
-            if size and not last and (len(tokens) % size if same else len(tokens) != size):
-                raise self.error(f"lines must hold {size} values", len(tokens))
+            line = self.take(wanted).rstrip()
+            tokens = line.split()
+            if width:
+                tokens = [line[start : start + width].lstrip() for start in range(0, len(line), width)]
+                if len(line) % width or not line:
+                    got = f"{len(line)} characters"
+                    raise self.error(f"values must fill columns of {width} characters", got)
+                per_line = per_line or len(tokens)
+            last = width and len(values) + len(tokens) == count
+            if per_line and not last and (len(tokens) % per_line if width else len(tokens) != per_line):
+                raise self.error(f"lines must hold {per_line} values", len(tokens))
             for token in tokens:
                 number = to_number(token)
                 if whole and not _WHOLE.fullmatch(token):
