@@ -150,11 +150,8 @@ def read_columns(path: Path, request: Request) -> Columns:
 def read_text(path: Path, request: Request) -> Recording:
     """The columns of a text file on their clock; lines that may be one wrapped series are a question."""
     columns = read_columns(path, request)
-    known, n_columns = (
-        clock_column(columns, request.clock) is not None or columns.own,
-        columns.values.shape[1],
-    )
-    question = ""
+    known = clock_column(columns, request.clock) is not None or columns.own
+    question, n_columns = "", columns.values.shape[1]
     if request.wrapped is None and n_columns > 2 and (not known or is_paired(columns.values, n_columns)):
         question = (
             f"`wrapped` must be given, {columns.file} has lines of {n_columns} values without labels or "
@@ -204,9 +201,8 @@ def _word_among_numbers(number: int, line: str) -> str:
         cells = without_ends(split(line, separator))
         odd = [c for c in cells if to_number(c) is None and to_number(c.replace(",", ".")) is None]
         if len(odd) > 0 and len(cells) > 1 + len(odd):
-            return (
-                f"Line {number} has {odd[0] or 'an empty cell'!r} among its numbers: leave such columns out. "
-            )
+            what = odd[0] or "an empty cell"
+            return f"Line {number} has {what!r} among its numbers: leave such columns out. "
     return ""
 
 
@@ -226,9 +222,8 @@ def _with_fraction(line: str, after: str, layout: Layout) -> Layout:
     """The layout of 10:00:00,250 between commas: seconds that stand twice go on in the cell behind them."""
     if layout.separator == "," and len(layout.stamp) == 1:
         [k] = layout.stamp
-        (now, fraction), (then, further) = (
-            [*split(text, ",")[k : k + 2], "", ""][:2] for text in (line, after)
-        )
+        cells = ([*split(text, ",")[k : k + 2], "", ""][:2] for text in (line, after))
+        (now, fraction), (then, further) = cells
         digits = fraction.isdigit() and further.isdigit() and len(fraction) == len(further) in (3, 6)
         if now == then and digits and now.count(":") == 2 and "." not in now and layout.count > k + 2:
             return layout._replace(stamp=(k, k + 1))
@@ -255,22 +250,18 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
         numbers = [cell for cell in rest if to_number(cell) is not None]
         measured, size = sum("." in cell for cell in numbers), len(rest)
         begins = len(cells) == layout.n_columns > 1 and to_number(cells[0]) is not None
-        odd = "".join(cell for cell in rest if to_number(cell) is None)
-        beside = len(rest) == measured + 1 > layout.n_columns and not re.search(
-            "[A-Za-z]", odd
-        )  # a mark more
+        odd = [cell for cell in rest if to_number(cell) is None]
+        marks = not re.search("[A-Za-z]", "".join(odd))
+        beside = marks and len(rest) == measured + 1 > layout.n_columns  # a mark more
         digits, letters = (sum(map(kind, cells[0])) for kind in (str.isdigit, str.isalpha))
         spoilt = "." in cells[0] and digits > 2 * letters  # as L0.0000
         illegible = not cells[0] or cells[0][0] in "0123456789.+-" or spoilt or beside
         most = below_labels and 2 * measured >= len(cells)
         almost_all = number == first - 1 and 1 < layout.n_columns <= measured + 1 + stamped
         swallowed = almost_all and below_labels and measured > 1
-        if (
-            ((begins or illegible) and (most or almost_all))
-            or swallowed
-            or (stamped and 2 * measured >= size > 0)
-        ):
-            raise not_a_number(where, next((c for c in rest if to_number(c) is None), cells[0]))
+        is_row = (begins or illegible) and (most or almost_all)
+        if is_row or swallowed or (stamped and 2 * measured >= size > 0):
+            raise not_a_number(where, next(iter(odd), cells[0]))
         below_labels |= len(cells) == layout.n_columns and not numbers
 
 
