@@ -384,9 +384,8 @@ def _sensor_names(found, files, columns) -> list[str]:
         if len(own) == 1 and label and (keys is None or named or len(found) > 1):
             names.append(label)
         else:
-            names += (
-                own if not label or (len(found) == 1 and not named) else [f"{label} {name}" for name in own]
-            )
+            alone = not label or (len(found) == 1 and not named)
+            names += own if alone else [f"{label} {name}" for name in own]
     if len(set(names)) < len(names):
         raise ValueError(
             f"Sensors must have different names, got {listed(names)}. Pass `files` or `columns` as a "

@@ -88,12 +88,9 @@ def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
             raise ValueError(f"got {count} in the first")
         return np.loadtxt(StringIO("\n".join(rows)), ndmin=2, comments=None).reshape(-1, count)
     except ValueError as error:
-        what = (
-            f"{n_columns} numbers in a line"
-            if n_columns
-            else "%%MatrixMarket above, or 3 or 5 numbers in a line"
-        )
-        raise ValueError(f"{lines.title} must hold {what} ({shortened(error)}). Export it again.") from None
+        counted = f"{n_columns} numbers" if n_columns else "%%MatrixMarket above, or 3 or 5 numbers"
+        what = f"{counted} in a line ({shortened(error)})"
+        raise ValueError(f"{lines.title} must hold {what}. Export it again.") from None
 
 
 def _assembled(path: Path, entries: np.ndarray, shape: tuple[int, int], sign: float):
@@ -103,10 +100,8 @@ def _assembled(path: Path, entries: np.ndarray, shape: tuple[int, int], sign: fl
     places = entries[:, :2]
     wrong = ((places != np.rint(places)) | (places < 1) | (places > shape)).any(axis=1)
     if wrong.any():
-        what = (
-            f"rows and columns must be from 1 to {shape[0]} and {shape[1]}, got {places[wrong][0].tolist()}"
-        )
-        raise ValueError(f"{path.name}: {what}. Export it again.")
+        what = f"from 1 to {shape[0]} and {shape[1]}, got {places[wrong][0].tolist()}"
+        raise ValueError(f"{path.name}: rows and columns must be {what}. Export it again.")
     rows, columns = (places - 1).astype(np.int64).T
     values, off = entries[:, 2], rows != columns
     problem = ""

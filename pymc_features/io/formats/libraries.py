@@ -137,10 +137,8 @@ def _history(name: str, found: dict, raw: bytes) -> Channel:
                 "binary numbers must be IEEE, 2, of byte order 1 or 2, and reach to the end of their data "
                 f"set, got {found['fp_format']} and {order}. Fetch the file again."
             )
-    label, unit = (
-        "" if text.lower() in UNLABELLED else text
-        for text in (found.get(f"{axis}_axis_units_lab", "").strip() for axis in ("abscissa", "ordinate"))
-    )
+    labels = (found.get(f"{axis}_axis_units_lab", "").strip() for axis in ("abscissa", "ordinate"))
+    label, unit = ("" if text.lower() in UNLABELLED else text for text in labels)
     clock = unit_of(label or "s")
     if clock is None or clock.quantity != "time":
         raise ValueError(f"times must be in a unit of time, got {label!r}. Export seconds.")
@@ -442,9 +440,8 @@ def _of_array(array) -> Recording:
     whole = array.expand_dims("sensor") if "sensor" not in array.dims else array
     whole = whole.transpose("sensor", "time")
     names = whole["sensor"].values if "sensor" in array.coords else range(whole.sizes["sensor"])
-    units = (
-        whole.coords["units"].values if "units" in whole.coords else [array.attrs.get("units")] * len(names)
-    )
+    one = [array.attrs.get("units")] * len(names)
+    units = whole.coords["units"].values if "units" in whole.coords else one
     place = {}
     if "time" in array.coords:
         origin, seconds = _seconds(whole["time"].values)

@@ -194,15 +194,8 @@ def _moment(lines: Lines, text: str, form: str, example: str) -> float:
 
 # --- K-NET and KiK-net: counts below seventeen lines -------------------------------------------------
 
-KNET = (
-    "station code",
-    "record time",
-    "sampling freq(hz)",
-    "duration time(s)",
-    "dir",
-    "scale factor",
-    "max acc (gal)",
-)
+KNET = "station code", "record time", "sampling freq(hz)", "duration time(s)", "dir"
+KNET += "scale factor", "max acc (gal)"
 DIRECTIONS = {"1": "NS1", "2": "EW1", "3": "UD1", "4": "NS2", "5": "EW2", "6": "UD2"}  # 2: at the surface
 DELAY = 15.0 + 9 * 3600.0  # [s], of the trigger, and of Japanese time on UTC
 
@@ -226,9 +219,8 @@ def read_knet(lines: Lines) -> tuple[list[Channel], str]:
     rate = positive(lines, to_count(rate.lower().removesuffix("hz").strip()), "the sampling frequency")
     duration = positive(lines, to_number(duration), "the duration")
     scales = [to_number(part.strip()) for part in scale.lower().split("(gal)/")]
-    full, scale = (
-        positive(lines, part, "the scale factor, as 3920(gal)/6182761") for part in [*scales, None][:2]
-    )
+    what = "the scale factor, as 3920(gal)/6182761"
+    full, scale = (positive(lines, part, what) for part in [*scales, None][:2])
     counts = lines.words(round(rate * duration), "values, frequency times duration", whole=True)
     check_end(lines, "the values, frequency times duration")
     gal = full / scale * (counts - counts.mean())
@@ -289,14 +281,8 @@ def read_unam(lines: Lines) -> list[Channel]:
 
 # --- COSMOS V0 to V2: text, integers, reals and comments above each series ------------------------
 
-UNITS = {
-    2: (1.0, "g"),
-    4: (1.0, "cm/s^2"),
-    7: (0.0254, "m/s^2"),
-    10: (1.0, "gal"),
-    11: (1e-3, "g"),
-    12: (1e-6, "g"),
-}
+UNITS = {2: (1.0, "g"), 4: (1.0, "cm/s^2"), 7: (0.0254, "m/s^2")}
+UNITS |= {10: (1.0, "gal"), 11: (1e-3, "g"), 12: (1e-6, "g")}
 QUANTITIES = ("accel", "veloc", "displ", "rotat", "angul", "press", "strain", "speed")
 STEP, RAW_STEP, PEAK = 61, 33, 63  # reals: of the series [ms], of the recorder [s], signed
 

@@ -74,10 +74,8 @@ def even_clock(
         tolerance += quantum
     if np.abs(times - times[0] - mean * numbers).max() > tolerance:
         row = int(np.argmax(np.abs(steps - np.median(steps)))) + 1
-        text = (
-            f"{where(row)}: time steps must be even, they vary from {steps.min():.4g} s to "
-            f"{steps.max():.4g} s."
-        )
+        span = f"from {steps.min():.4g} s to {steps.max():.4g} s"
+        text = f"{where(row)}: time steps must be even, they vary {span}."
         if dt is None:
             raise ValueError(f"{text} Resample the record first.")
         warn_caller(f"{text} The argument dt={dt:g} s is used.")
