@@ -32,7 +32,7 @@ def problem():
         force, error = pm.LogNormal("force", 0.0, 1.0), pm.LogNormal("error", 0.0, 1.0)
         pmf.AmbientResponse(
             "y",
-            pmf.spectral_response(chain, force, n_modes=MODES),
+            pmf.ambient.spectral_response(chain, force, n_modes=MODES),
             error=error,
             bands=np.column_stack([f * (1.0 - HALF_WIDTH), f * (1.0 + HALF_WIDTH)]),
             dt=STEP,

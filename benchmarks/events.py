@@ -147,7 +147,9 @@ def sequence():
     for i in range(10):
         pm.set_data({"a": design[i], "y": data[i]}, model=model)
         settings = {"model": model, "random_seed": i, **QUIET}
-        idata = pmf.sample(4000, chains=2, **settings) if i == 0 else pmf.continue_with(idata, **settings)
+        idata = (
+            pmf.sample(4000, chains=2, **settings) if i == 0 else pmf.events.continue_with(idata, **settings)
+        )
         precision, moment = (
             precision + design[i].T @ design[i] / noise**2,
             moment + design[i].T @ data[i] / noise**2,
@@ -183,7 +185,7 @@ def drift(n_structures=20):
                 now = np.where((np.arange(3) == storey) & damaged & (e >= 5), 0.9, 1.0) * true
                 floors = pmf.simulate(chain(now), record, sensors=[0, 2]).values
                 events.append({"measured": floors + noise * rng.normal(size=clean.shape)})
-            state = pmf.sample_in_sequence(events, model=model, draws=400, random_seed=0, **QUIET)
+            state = pmf.events.sample_in_sequence(events, model=model, draws=400, random_seed=0, **QUIET)
             print("damaged" if damaged else "sound", k, state["sequence"]["alarm"].values, flush=True)
 
 

@@ -19,7 +19,7 @@ from tables import first_sentence
 import pymc_features
 
 # public, besides those that `pymc_features.__all__` names
-MODULES = ("structures", "plots", "update", "external", "external.umbridge", "ground_motion", "study")
+MODULES = ("update", "external.umbridge", "ground_motion")
 LOGGER = logging.getLogger(__name__)
 
 
@@ -46,13 +46,13 @@ def public_names() -> dict[str, str]:
 
 def defined(module) -> list[str]:
     """Public functions and classes of a module."""
-    names = getattr(module, "__all__", vars(module))
-    return [name for name in names if not name.startswith("_") and is_ours(getattr(module, name), module)]
-
-
-def is_ours(value, module) -> bool:
-    """Whether a function or class comes from this module or folder, and not from one that it imports."""
-    return callable(value) and getattr(value, "__module__", "").startswith(module.__name__)
+    names = getattr(module, "__all__", None)
+    if names is None:  # those that come from it, and not from one that it imports
+        ours = (
+            n for n, x in vars(module).items() if getattr(x, "__module__", "").startswith(module.__name__)
+        )
+        names = [name for name in ours if not name.startswith("_")]
+    return [name for name in names if callable(getattr(module, name))]
 
 
 class Public(SphinxDirective):

@@ -26,11 +26,8 @@ if TYPE_CHECKING:
 #: Names that need no PyMC, and where they are.
 LIGHT = {
     **dict.fromkeys(("Record", "Loading"), "records"),
-    **dict.fromkeys(
-        ("read_channels", "read_channels_with_gaps", "read_cyclic_test", "read_matrices", "read_record"), "io"
-    ),
-    "write_channels": "io",
-    **dict.fromkeys(("read_modal", "write_modal"), "modal.files"),
+    **dict.fromkeys(("read_channels", "read_matrices", "read_record"), "io"),
+    "read_modal": "modal.files",
 }
 
 

@@ -20,6 +20,7 @@ from pymc_features.modal.files import read_modal
 from pymc_features.records import Record
 
 __all__ = ["Footbridge", "el_centro", "footbridge", "mini_shake_table"]
+__dir__ = __all__.copy
 
 #: Name of the environment variable with the folder that is searched before the network.
 DATA_VARIABLE = "PYMC_FEATURES_DATA"

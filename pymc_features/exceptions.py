@@ -142,3 +142,4 @@ class NoWorkersError(RuntimeError):
 
 
 __all__ = sorted(name for name in globals() if name.endswith(("Error", "Warning")))
+__dir__ = __all__.copy

@@ -37,7 +37,7 @@ EVEN = 1e-6  # of a step: differences of times below this are rounding
 class DynamicLoad:
     """What acts on a structure that is at rest at the first sample.
 
-    Structures and simulators take a `Record`, `Loading` or `CyclicTest` by these attributes alone.
+    Structures and simulators take a `Record`, `Loading` or `structures.CyclicTest` by these attributes alone.
 
     Attributes
     ----------
@@ -406,7 +406,7 @@ class CyclicTest(DynamicLoad):
     history = "displacement"
 
     def __post_init__(self):
-        advice = "Pass m, or read a table with `read_cyclic_test`."
+        advice = "Pass m, or read a table with `io.read_cyclic_test`."
         self._keep(displacement=self._series(advice, "Pass the history of one displacement."))
 
     def __repr__(self):

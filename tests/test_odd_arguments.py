@@ -35,7 +35,7 @@ def test_calls_work():
     [
         (lambda x: np.zeros(2) if x else None, "ValueError in test_odd_arguments.py"),
         (lambda x: x, "taken"),
-        (lambda x: pmf.sigma_mpv([x[0] - 2.0]), "refused without `x`"),
+        (lambda x: pmf.likelihoods.sigma_mpv([x[0] - 2.0]), "refused without `x`"),
         (lambda x: pmf.Record([0.0, 1.0], dt=1.0).first(x), "refused without `x`"),
     ],
     ids=["inside", "taken", "another", "unnamed"],

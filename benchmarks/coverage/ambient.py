@@ -50,7 +50,7 @@ def intervals(values, every, seed):
         warnings.simplefilter("ignore", pmf.exceptions.AmbientWarning)
         factors = pm.LogNormal("factors", 0.0, 0.2, shape=N_FACTORS)
         force, error = pm.LogNormal("force", 0.0, 2.0), pm.LogNormal("error", np.log(ERROR), 2.0)
-        response = pmf.spectral_response(structure(factors), force, sensors=SENSORS)
+        response = pmf.ambient.spectral_response(structure(factors), force, sensors=SENSORS)
         dt = every * FINEST
         pmf.AmbientResponse("y", response, error=error, bands=bands(), dt=dt, observed=values)
     found = pmf.laplace(4000, model=model, random_seed=seed, compile_kwargs={"mode": "FAST_COMPILE"})

@@ -38,14 +38,14 @@ def declare(displacement, force):
     with pm.Model() as model:
         k, reach = pm.LogNormal("k", 16.8, 0.4), pm.LogNormal("d_y", -4.8, 0.4)
         slip, degradation = pm.Uniform("slip", 0.0, 0.95), pm.HalfNormal("delta_eta", 0.1)
-        specimen = pmf.HystereticSpecimen(
+        specimen = pmf.structures.HystereticSpecimen(
             k,
             yield_displacement=reach,
             post_yield_ratio=0.05,
-            degradation=pmf.Degradation(stiffness=degradation),
-            pinching=pmf.Pinching(slip, spread=0.3),
+            degradation=pmf.structures.Degradation(stiffness=degradation),
+            pinching=pmf.structures.Pinching(slip, spread=0.3),
         )
-        mu = pmf.response(specimen, pmf.CyclicTest(displacement))
+        mu = pmf.response(specimen, pmf.structures.CyclicTest(displacement))
         pm.Normal("force", mu, pm.HalfNormal("sigma", 3e4), observed=force[None])
     return model
 

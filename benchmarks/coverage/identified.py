@@ -50,7 +50,7 @@ def covered(seed):
     shapes = posterior.parameters(x).shapes
     shapes /= np.linalg.norm(shapes, axis=2, keepdims=True)
     low, high = np.quantile((shapes[:, 0] * shapes[:, 1]).sum(axis=1) ** 2, [0.05, 0.95])
-    return [*inside, low < float(pmf.mac(*SHAPES[:, None])[0, 0]) < high]
+    return [*inside, low < float(pmf.modal.mac(*SHAPES[:, None])[0, 0]) < high]
 
 
 def run_identified(quick=False):

@@ -93,7 +93,7 @@ def outcome(kind, seed) -> Outcome:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = pmf.identify_modes(record.channels)
-    macs = pmf.mac(found.shapes, record.shapes)
+    macs = pmf.modal.mac(found.shapes, record.shapes)
     near = np.abs(found.frequencies[:, None] - record.frequencies)
     near = near < np.maximum(5.0 * found.frequency_sd[:, None], 0.01 * record.frequencies)
     score, free, pairs = np.where(near, macs, -1.0), np.ones(len(found), dtype=bool), []

@@ -68,6 +68,6 @@ def wide_intervals(draws, log_ratio, s, n_sensors, rng) -> dict[str, Intervals]:
     shape = 0.5 * (CLAIMS["EXP"] * n_sensors - 1)
     sigma = np.sqrt(0.5 * s / rng.gamma(shape, size=len(s)))
     relative = np.exp(weights["EXP"] - weights["EXP"].max())
-    delta = pmf.abc_tolerance(float(quantiles(sigma, relative / relative.sum(), 0.9)), n_sensors)
+    delta = pmf.likelihoods.abc_tolerance(float(quantiles(sigma, relative / relative.sum(), 0.9)), n_sensors)
     result["ABC"] = intervals(draws, np.where(s <= delta, log_ratio, -np.inf))
     return result

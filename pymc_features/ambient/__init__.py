@@ -10,3 +10,4 @@ __all__ = [
     "propose_bands",
     "spectral_response",
 ]
+__dir__ = __all__.copy

@@ -51,7 +51,7 @@ def identify_modes(
         As `read_channels` returns them, without gaps.
     bands : array_like (band, 2), optional
         Lower and upper ends of the bands [Hz], one around each mode or group of close modes, apart from each
-        other; `propose_bands(channels)` by default.
+        other; `ambient.propose_bands(channels)` by default.
     n_modes : int or list of int, optional
         In each band. By default the number, up to four, with the best Bayesian information criterion. Left
         out are then what comes in from other modes, that is, what reaches over the ends of the band beside

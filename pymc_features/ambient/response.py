@@ -286,7 +286,7 @@ class AmbientResponse(Continuous):
     name : str
         Of the variable.
     response : SpectralResponse
-        Of the structure, from `spectral_response`.
+        Of the structure, from `ambient.spectral_response`.
     error : tensor_like (), (band,) or (band, sensor)
         One-sided spectral density of the prediction error of each channel [unit^2/Hz]. Positive.
     bands : array_like (band, 2)
@@ -342,7 +342,7 @@ class AmbientResponse(Continuous):
     ) -> TensorVariable:
         check_name(name)
         if not isinstance(response, SpectralResponse):
-            raise TypeError(message("response", "what `spectral_response` returned", shown(response)))
+            raise TypeError(message("response", "what `ambient.spectral_response` returned", shown(response)))
         data = checked_channels(by_labels(observed, dims))
         if (s := response.shapes.type.shape[1]) not in (None, len(data)):
             advice = "Name the degrees of freedom of the channels by `sensors`."
@@ -368,7 +368,7 @@ class AmbientResponse(Continuous):
     ) -> TensorVariable:
         """Histories (sensor, n_samples) as a random variable of no model; see the class for the arguments."""
         if not isinstance(response, SpectralResponse):
-            raise TypeError(message("response", "what `spectral_response` returned", shown(response)))
+            raise TypeError(message("response", "what `ambient.spectral_response` returned", shown(response)))
         n_samples = check_integer(n_samples, "n_samples", least=1)
         bands = checked_bands(bands, n_samples, check_step(dt), MEASURED[response.quantity])
         s, b = response.shapes.type.shape[1], len(bands.limits)

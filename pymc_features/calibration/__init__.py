@@ -4,3 +4,4 @@ from pymc_features.calibration.calibrate import calibrate, effective_samples, fi
 from pymc_features.calibration.events import event_check
 
 __all__ = ["calibrate", "effective_samples", "event_check", "fill_degrees"]
+__dir__ = __all__.copy

@@ -48,7 +48,7 @@ WORTH = 0.9  # of draws that are weighed, below which they are not used
 WANTED = 2.0  # standard deviations beyond a bound that make a warning
 KEPT = 100  # draws at a time of which a checkpoint keeps the likelihood
 SHORT = 5.0  # time constants of the errors that a record must be long
-FIRST = 2.0  # degrees of freedom of the first fit of `fill_degrees`: those of EXP
+FIRST = 2.0  # degrees of freedom of the first fit of `calibration.fill_degrees`: those of EXP
 TINY = np.finfo(float).tiny
 
 

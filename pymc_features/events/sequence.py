@@ -52,7 +52,7 @@ FOR_ERROR = 200  # draws whose likelihood is asked for again
 ALARM = 0.5  # probability of a change from which there is an alarm
 CLEARLY = 0.01  # nats for each draw by which more must be better than a Gaussian: what it adds is noise else
 GAUSSIAN = 1e6  # degrees of freedom
-OF_RUN = ("drift", "forgetting", "change")  # of `continue_with` alone
+OF_RUN = ("drift", "forgetting", "change")  # of `events.continue_with` alone
 OF_SAMPLE_SMC = (
     "cores",
     "executor",
@@ -211,12 +211,12 @@ def sample_in_sequence(
     random_seed : int
         For the same draws each time.
     **settings
-        Of `continue_with`; those that `sample` has are for the first event, too.
+        Of `events.continue_with`; those that `sample` has are for the first event, too.
 
     Returns
     -------
     DataTree
-        As from `continue_with`, after the last event; of one event alone `sequence` has one entry.
+        As from `events.continue_with`, after the last event; of one event alone `sequence` has one entry.
 
     Raises
     ------
@@ -225,7 +225,7 @@ def sample_in_sequence(
 
     See Also
     --------
-    plot_sequence : parameters and alarms, event by event.
+    plots.sequence : parameters and alarms, event by event.
     """
     with open_workers(settings.pop("executor", None)) as workers:
         if workers is not None:
@@ -239,7 +239,7 @@ def sample_in_sequence(
 def states_in_sequence(
     events, *, model=None, out=None, draws=4000, chains=2, random_seed=0, **settings
 ) -> Iterator[xr.DataTree]:
-    """The posterior after each event, one by one; arguments as of `sample_in_sequence`."""
+    """The posterior after each event, one by one; arguments as of `events.sample_in_sequence`."""
     listed = as_list(events)
     if not listed or not all(
         isinstance(event, Mapping if model is not None else pm.Model) for event in listed

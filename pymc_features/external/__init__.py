@@ -2,26 +2,12 @@
 
 from pymc_features.lazy import lazily
 
-__all__ = [
-    "Emulation",
-    "EvaluationCache",
-    "Evaluator",
-    "ExternalSimulator",
-    "Failure",
-    "ProgramSimulator",
-    "emulate",
-]
-
 # samplers run their populations on `workers`: these are not to import what stands on samplers
-__getattr__, __dir__ = lazily(
-    __name__,
-    {
-        "Emulation": "emulation",
-        "EvaluationCache": "cache",
-        "Evaluator": "evaluator",
-        "ExternalSimulator": "simulator",
-        "Failure": "evaluator",
-        "ProgramSimulator": "program",
-        "emulate": "emulation",
-    },
-)
+PLACES = {
+    "Emulation": "emulation",
+    "ExternalSimulator": "simulator",
+    "ProgramSimulator": "program",
+    "emulate": "emulation",
+}
+__all__ = [*PLACES]
+__getattr__, __dir__ = lazily(__name__, PLACES)

@@ -54,7 +54,7 @@ def tolerance_sweep(
         Over `epsilon`, the tolerances in descending order: quantiles of each parameter (epsilon, quantile,
         ...) at (1 - probability) / 2, 0.5 and (1 + probability) / 2; `log_probability` of rho <= epsilon, its
         standard error, and `simulations` of all chains. NaN where a tolerance was not reached, which is no
-        error here. `plot_tolerance` draws it.
+        error here. `plots.tolerance` draws it.
 
     Notes
     -----

@@ -15,3 +15,4 @@ __all__ = [
     "read_record",
     "write_channels",
 ]
+__dir__ = __all__.copy

@@ -33,3 +33,4 @@ __all__ = [
     "gaussian",
     "sigma_mpv",
 ]
+__dir__ = __all__.copy

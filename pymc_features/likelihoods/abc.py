@@ -55,7 +55,7 @@ from pymc_features.ops import (
 
 QUANTILE = 0.9  # of sigma under EXP, from which the tolerance follows
 ADVICE_ON_EPSILON = (
-    "Pass a tolerance on the sum of mean squares, for example `abc_tolerance(sigma, n_sensors)`."
+    "Pass a tolerance on the sum of mean squares, for example `likelihoods.abc_tolerance(sigma, n_sensors)`."
 )
 ADVICE_ON_NOISE = "Pass a standard deviation in the units of the data."
 INSIDE, OUTSIDE = (pt.constant(value, dtype="float64") for value in (0.0, -np.inf))

@@ -108,7 +108,7 @@ class Likelihood:
         """Return whether the likelihood has a tolerance in place of a density."""
         return "epsilon" in self.takes
 
-    def claimed(self, samples, m=None) -> float | None:
+    def claimed(self, samples: np.ndarray, m: float | np.ndarray | None = None) -> float | None:
         """Independent observations that it counts; None if it counts none, or allows for their correlation.
 
         `samples` (sensor,) are the numbers of those measured; `m`, one number or one for each sensor, is that

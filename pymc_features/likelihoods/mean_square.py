@@ -323,7 +323,7 @@ class ExpFeature(FeatureLikelihood):
         \qquad e_j = \frac{1}{N_D} \sum_k [y_j(k) - g_j(k; \theta)]^2
 
     Its uncertainty does not depend on the sampling rate of the data, nor does that of likelihood-free ABC,
-    whose interval at the tolerance `abc_tolerance` is about twice as wide.
+    whose interval at the tolerance `likelihoods.abc_tolerance` is about twice as wide.
 
     Parameters
     ----------
@@ -480,7 +480,7 @@ class GammaFeature(FeatureLikelihood):
     conventional likelihood of N_D independent samples whose standard deviation is sigma sqrt(N_D). In
     between, m is the number of independent observations that the errors of a sensor are worth, which
     `effective_samples` takes from the residuals of a fit, and which does not depend on the sampling rate;
-    with ``m="residuals"`` `fill_degrees` puts it in.
+    with ``m="residuals"`` `calibration.fill_degrees` puts it in.
 
     Parameters
     ----------

@@ -302,7 +302,7 @@ def match_modes(
     Dataset
         With dimensions `mode` (each identification, those of one mode together), and chain and draw of a
         posterior: `model_mode`, 0 the lowest; `frequency` of that mode [Hz]; `deviation` (ln f^ - ln f) / s;
-        `mac`, NaN without a shape; `has_partner`.
+        `modal.mac`, NaN without a shape; `has_partner`.
 
     Warns
     -----

@@ -41,7 +41,7 @@ WIDE = 1.645  # standard deviations of 90 %
 
 
 @figure("One for each parameter")
-def plot_sampling_rate(
+def sampling_rate(
     result: xr.DataTree,
     likelihoods: str | Sequence[str],
     axes: AxesLike = None,
@@ -56,7 +56,7 @@ def plot_sampling_rate(
     Parameters
     ----------
     result : DataTree
-        From `sampling_rate_study`.
+        From `study.sampling_rate_study`.
     likelihoods : str or sequence of str
         Which to draw; ("TN", "NORM") are Figs. 2 (theta) and 3 (sigma) of the source, ("EXP", "NORM", "ABC")
         Fig. 4. Those that have no sigma, or know it, appear for theta only.
@@ -104,7 +104,7 @@ def draw_posteriors(ax, cell, kind, shift) -> None:
 
 
 @figure("One", "array of one matplotlib Axes")
-def plot_widths(result: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
+def widths(result: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     """5-95 % width of theta at each sampling step: what a faster sampling does to the uncertainty.
 
     Lines are exact, by quadrature; markers are sampled.
@@ -112,7 +112,7 @@ def plot_widths(result: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     Parameters
     ----------
     result : DataTree
-        From `sampling_rate_study`.
+        From `study.sampling_rate_study`.
     """
     summary = check_group(result, "result", "summary", STUDY, *DIMS).sel(parameter="theta")
     [ax] = axes = checked_axes(axes, figsize=(7.5, 4.2))
@@ -145,13 +145,13 @@ def draw_interval(ax, x, ends, middle, colour, labels) -> None:
 
 
 @figure("One for each scalar parameter")
-def plot_tolerance(result: xr.Dataset, axes: AxesLike = None) -> np.ndarray:
+def tolerance(result: xr.Dataset, axes: AxesLike = None) -> np.ndarray:
     """Median and interval of each scalar parameter against the tolerance.
 
     Parameters
     ----------
     result : Dataset
-        From `tolerance_sweep`.
+        From `sampling.tolerance_sweep`.
     """
     check_dataset(result, "result", "what tolerance_sweep() returned")
     scalars = (name for name, values in result.data_vars.items() if values.dims == ("epsilon", "quantile"))
@@ -169,7 +169,7 @@ def plot_tolerance(result: xr.Dataset, axes: AxesLike = None) -> np.ndarray:
 
 
 @figure("One for each parameter")
-def plot_sequence(
+def sequence(
     idata: xr.DataTree, parameters: Sequence[str] | None = None, axes: AxesLike = None
 ) -> np.ndarray:
     """Mean and 90 % band of each parameter after each event, with the events that raised an alarm.
@@ -203,7 +203,7 @@ def plot_sequence(
 
 
 @figure("Two", "array of two matplotlib Axes")
-def plot_tempering(idata: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
+def tempering(idata: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     """Inverse temperature, or tolerance of ABC, and acceptance rate at each stage, one line for each chain.
 
     Parameters
@@ -237,7 +237,7 @@ def plot_tempering(idata: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
 
 
 @figure("Two", "array of two matplotlib Axes")
-def plot_sensor_placement(result: xr.Dataset, axes: AxesLike = None) -> np.ndarray:
+def sensor_placement(result: xr.Dataset, axes: AxesLike = None) -> np.ndarray:
     """What each candidate tells by itself, the chosen ones in their order, and what they tell together.
 
     Parameters

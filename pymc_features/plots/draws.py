@@ -37,7 +37,7 @@ PRIOR, POSTERIOR = "#b0b0b0", "#1f77b4"
 
 
 @figure("Two for each entry of a parameter, the density first", RETURNS)
-def plot_chains(
+def chains(
     idata: xr.DataTree,
     kind: str = "rank",
     var_names: Sequence[str] | None = None,
@@ -91,7 +91,7 @@ def plot_chains(
 
 
 @figure("One for each parameter", RETURNS)
-def plot_prior_posterior(
+def prior_posterior(
     idata: xr.DataTree,
     var_names: Sequence[str] | None = None,
     units: Mapping[str, str] | None = None,
@@ -162,7 +162,7 @@ def plot_prior_posterior(
 
 
 @figure("Two, for gains and frequencies", RETURNS)
-def plot_natural_frequencies(
+def natural_frequencies(
     result: xr.DataTree, axes: AxesLike = None, *, backend: str = "matplotlib"
 ) -> "np.ndarray | PlotCollection":
     """Measured gain against frequency, and below it the 5-95 % intervals of every likelihood and mode.

@@ -37,7 +37,7 @@ LABELS = {"support_acceleration": "support acceleration [m/s²]", "force": "forc
 
 
 @figure("One")
-def plot_record(record: Record | Loading | xr.DataTree, axes: AxesLike = None) -> np.ndarray:
+def record(record: Record | Loading | xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     """Ground acceleration against time with its peak, or every history of a loading.
 
     Parameters
@@ -80,7 +80,7 @@ def record_of(result: xr.DataTree) -> Record:
 
 
 @figure("One for each sensor")
-def plot_channels(channels: xr.DataArray, axes: AxesLike = None) -> np.ndarray:
+def channels(channels: xr.DataArray, axes: AxesLike = None) -> np.ndarray:
     """Every channel against time, with its largest value, all on one scale.
 
     Parameters
@@ -118,7 +118,7 @@ def draw_with_peak(ax, time, values, label: str | None = None) -> None:
 
 
 @figure("One for each sensor")
-def plot_predictive(
+def predictive(
     idata: xr.DataTree,
     sensors: str | Sequence[str] | None = None,
     window: tuple[float, float] | None = None,
@@ -167,7 +167,7 @@ def plot_predictive(
 
 
 @figure("One for each sensor")
-def plot_response_bands(
+def response(
     result: xr.Dataset,
     quantity: str,
     sensors: int | Sequence[int] | None = None,
@@ -182,7 +182,7 @@ def plot_response_bands(
     Parameters
     ----------
     result : Dataset
-        From `posterior_response`.
+        From `prediction.posterior_response`.
     quantity : str
         One of its quantities.
     sensors : int or sequence of int, optional

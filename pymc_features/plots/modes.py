@@ -8,8 +8,9 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pymc_features import modal
 from pymc_features._checks import as_array, as_list, as_numbers, check_mapping, message, shown
-from pymc_features.modal.data import ModalData, mac, real_shape
+from pymc_features.modal.data import ModalData, real_shape
 from pymc_features.plots.axes import AxesLike, checked_axes, figure, legend_outside
 
 type ShapesLike = ArrayLike | object  # shapes, or modes that have them
@@ -27,7 +28,7 @@ AMPLITUDE = 0.15  # of the largest entry, over the extent of the structure
 
 
 @figure("One", "array of one matplotlib Axes")
-def plot_mac(
+def mac(
     measured: ModalData,
     shapes: ShapesLike,
     frequencies: ArrayLike | None = None,
@@ -47,7 +48,7 @@ def plot_mac(
     shapes : array_like (..., m, s), or modes
         Of the model at the same channels, in rows; several dimensions in front are draws, such as (chain,
         draw, m, s). Or modes with their frequencies: what `modes` returned, of a structure or inside a model
-        where it is of numbers, or a `ModalData`.
+        where it is of numbers, or a `modal.ModalData`.
     frequencies : array_like (..., m), optional
         Of the model [Hz], for the labels.
     partners : array_like of int (i,), optional
@@ -55,7 +56,7 @@ def plot_mac(
 
     See Also
     --------
-    mac : the numbers.
+    modal.mac : the numbers.
     """
     given = Compared(measured, shapes, frequencies, partners)
     if given.shapes.shape[2] != given.measured.shape[1]:
@@ -97,7 +98,7 @@ def cell_text(low: float, middle: float, high: float) -> str:
 
 
 @figure("One for each identified mode")
-def plot_mode_shapes(
+def mode_shapes(
     measured: ModalData,
     shapes: ShapesLike,
     frequencies: ArrayLike | None = None,
@@ -119,7 +120,7 @@ def plot_mode_shapes(
         is, turned as `ModalData.real` does.
     shapes : array_like (..., m, p), or modes
         Of the model at all points that are to be drawn, in rows; several dimensions in front are draws, such
-        as (chain, draw, m, p). Or modes as `plot_mac` takes them.
+        as (chain, draw, m, p). Or modes as `plots.mac` takes them.
     frequencies : array_like (..., m), optional
         Of the model [Hz], for the titles.
     sensors : array_like of int (s,), optional
@@ -206,7 +207,7 @@ class Compared:
     def macs(self, sensors=slice(None)) -> np.ndarray:
         """MAC (N, i, m) of each identified mode and each mode of the model, NaN without a shape."""
         draws, m, _ = self.shapes.shape
-        found = mac(self.measured, self.shapes[:, :, sensors].reshape(draws * m, -1))
+        found = modal.mac(self.measured, self.shapes[:, :, sensors].reshape(draws * m, -1))
         return found.reshape(-1, draws, m).transpose(1, 0, 2)
 
     def frequency(self, mode: int, form: str) -> str:

@@ -15,7 +15,7 @@ DECADES = 6.0  # below the largest value
 
 
 @figure("One", "array of one matplotlib Axes")
-def plot_singular_values(
+def singular_values(
     channels: xr.DataArray,
     bands: ArrayLike | None = None,
     *,
@@ -25,7 +25,7 @@ def plot_singular_values(
 ) -> np.ndarray:
     """Singular values of the spectra of all channels against each other: peaks are modes, or machines.
 
-    Spectra are averaged over twenty parts of the record (Welch), as `propose_bands` sees them.
+    Spectra are averaged over twenty parts of the record (Welch), as `ambient.propose_bands` sees them.
 
     Parameters
     ----------

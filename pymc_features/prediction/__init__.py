@@ -5,3 +5,4 @@ from pymc_features.prediction.posterior_response import posterior_response
 from pymc_features.prediction.sensors import sensor_placement
 
 __all__ = ["first_passage_probability", "posterior_response", "sensor_placement"]
+__dir__ = __all__.copy

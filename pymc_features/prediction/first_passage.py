@@ -31,18 +31,18 @@ def first_passage_probability(
 
     ``P(limit) = E[ 1{max_t |r(t)| > limit} ]`` over the posterior, for each storey and for any of them; over
     many limits it is a fragility curve, over many earthquakes, all as likely as each other, their total
-    probability. The uncertainty is that of the parameters; see `posterior_response`.
+    probability. The uncertainty is that of the parameters; see `prediction.posterior_response`.
 
     Parameters
     ----------
     idata, structure, draws, random_seed
-        As in `posterior_response`.
+        As in `prediction.posterior_response`.
     record : Record or Loading, or a sequence of them
-        Ground accelerations, or other loads as in `posterior_response`.
+        Ground accelerations, or other loads as in `prediction.posterior_response`.
     limit : float or array_like (limit,)
         Positive, in the unit of the quantity.
     quantity : str
-        As in `posterior_response`.
+        As in `prediction.posterior_response`.
     **kwargs
         `dt`, `sensors`, `n_modes` and `outputs` of `response`, the same for every draw and record. "Any" is
         any of `sensors` or `outputs`.
@@ -55,7 +55,7 @@ def first_passage_probability(
         (record, limit); `peak` (record, sample, storey), from which any other limit can be judged, with the
         `chain` and `draw` of each sample. The dimension is sensor instead of storey for quantities other than
         the drift, and the base shear has none, or support where there are several. A number as limit gives
-        no dimension limit. `attrs` as in `posterior_response`.
+        no dimension limit. `attrs` as in `prediction.posterior_response`.
 
     Raises
     ------

@@ -23,3 +23,4 @@ __all__ = [
     "sampling_step",
     "trim",
 ]
+__dir__ = __all__.copy

@@ -61,7 +61,7 @@ def integration_error(
     Parameters
     ----------
     structure, record
-        As of `spring_forces`.
+        As of `structures.spring_forces`.
     quantity : str
         As of `simulate`.
 

@@ -16,3 +16,4 @@ __all__ = [
     "write_outputs",
     "yielding",
 ]
+__dir__ = __all__.copy

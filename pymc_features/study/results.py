@@ -34,7 +34,7 @@ FIGURES = {  # likelihoods and parameters; those with all their likelihoods in t
 
 
 def assemble(study, parts: dict, shown) -> xr.DataTree:
-    """Put the sampled parts and the exact posteriors side by side; see `sampling_rate_study`.
+    """Put the sampled parts and the exact posteriors side by side; see `study.sampling_rate_study`.
 
     `shown` is called with what is in work and the number of parts that are finished.
     """
@@ -254,20 +254,20 @@ def yielding(result: xr.DataTree) -> str:
     )
 
 
-def write_outputs(result, folder: Path) -> list[Path]:
+def write_outputs(result: xr.DataTree, folder: Path) -> list[Path]:
     """Write figures, tables and the result into `folder`; return their paths."""
 
     def save(axes):
         return lambda path: axes[0].figure.savefig(path, dpi=150, format="png")
 
-    figures = {"fig1_record.png": plots.plot_record(result)}
+    figures = {"fig1_record.png": plots.record(result)}
     known = set(result["summary"]["likelihood"].values)
     for name, (likelihoods, parameters) in FIGURES.items():
         if known.issuperset(likelihoods):
-            figures[name] = plots.plot_sampling_rate(result, likelihoods, parameters=parameters)
-    figures["fig6_widths.png"] = plots.plot_widths(result)
+            figures[name] = plots.sampling_rate(result, likelihoods, parameters=parameters)
+    figures["fig6_widths.png"] = plots.widths(result)
     if "loops" in result.children:
-        figures["fig7_loops.png"] = plots.plot_loops(result)
+        figures["fig7_loops.png"] = plots.loops(result)
     writers = {name: save(axes) for name, axes in figures.items()}
     writers["table.md"] = lambda path: path.write_text(as_markdown(result))
     writers["table.csv"] = lambda path: path.write_text(as_csv(result))

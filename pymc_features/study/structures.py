@@ -52,7 +52,7 @@ class StudyStructure:
     quick: dict = field(default_factory=lambda: dict(QUICK))
     stiffness: float = paper.STIFFNESS
 
-    def at(self, theta=1.0) -> Structure:
+    def at(self, theta: float | Variable = 1.0) -> Structure:
         """The structure with this factor, by default the true one."""
         return self.chain(theta, stiffness=self.stiffness)
 

@@ -120,7 +120,7 @@ def one_oscillator(y, dt, band):
         warnings.simplefilter("ignore", pmf.exceptions.AmbientWarning)
         f = pm.Flat("frequency")
         ratio, density, error = pm.Flat("ratio"), pm.Flat("density"), pm.Flat("error")
-        response = pmf.spectral_response(oscillator(f, ratio), density, quantity="displacement")
+        response = pmf.ambient.spectral_response(oscillator(f, ratio), density, quantity="displacement")
         pmf.AmbientResponse("y", response, error=error, bands=band, dt=dt, observed=[y])
     return model
 
@@ -154,7 +154,7 @@ def test_draws_have_the_spectral_density_of_the_model():
         pm.Normal("unused")
         pmf.AmbientResponse(
             "y",
-            pmf.spectral_response(chain, density),
+            pmf.ambient.spectral_response(chain, density),
             error=error,
             bands=bands,
             dt=dt,
@@ -194,7 +194,7 @@ def three_storeys(kind):
         density = pm.LogNormal("density", 0.0, 0.5, shape=2)
         error = pm.LogNormal("error", 0.0, 0.5, shape=(2, 3) if kind == "dofs" else ())
         chain = pmf.SpringMassChain(mass=np.ones(4), stiffness=k, damping=pmf.ModalDamping(0.03))
-        response = pmf.spectral_response(chain, density, forces=forces, sensors=[0, 2, 3], n_modes=3)
+        response = pmf.ambient.spectral_response(chain, density, forces=forces, sensors=[0, 2, 3], n_modes=3)
         pmf.AmbientResponse(
             "y",
             response,
@@ -235,7 +235,7 @@ def test_a_known_motion_is_taken_off_the_data():
     values = []
     for data, mu in ((y, None), (y + known, known)):
         with pm.Model() as model:
-            response = pmf.spectral_response(oscillator(pm.Flat("f")), 1.0)
+            response = pmf.ambient.spectral_response(oscillator(pm.Flat("f")), 1.0)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", pmf.exceptions.AmbientWarning)
                 pmf.AmbientResponse("y", response, error=0.1, bands=[1.0, 2.0], dt=0.05, observed=data, mu=mu)
@@ -262,7 +262,7 @@ GOOD = {"error": 0.1, "bands": [1.0, 2.0], "dt": 0.05, "observed": np.ones((1, 4
 )
 def test_bad_input_is_refused(change, says):
     with pm.Model(), pytest.raises(ValueError, match=says):
-        pmf.AmbientResponse("y", pmf.spectral_response(oscillator(1.5), 1.0), **GOOD | change)
+        pmf.AmbientResponse("y", pmf.ambient.spectral_response(oscillator(1.5), 1.0), **GOOD | change)
 
 
 @pytest.mark.parametrize(
@@ -277,12 +277,12 @@ def test_bad_input_is_refused(change, says):
 )
 def test_bad_responses_are_refused(settings, error, says):
     with pytest.raises(error, match=says):
-        pmf.spectral_response(oscillator(1.5), **{"excitation": 1.0} | settings)
+        pmf.ambient.spectral_response(oscillator(1.5), **{"excitation": 1.0} | settings)
 
 
 def test_what_says_little_is_told():
     with pm.Model():
-        response = pmf.spectral_response(oscillator(1.5, ratio=pt.constant(0.001)), 1.0)
+        response = pmf.ambient.spectral_response(oscillator(1.5, ratio=pt.constant(0.001)), 1.0)
         with pytest.warns(match="short for the mode of y at 1.5 Hz with 0.1 % damping") as warned:
             pmf.AmbientResponse("y", response, **GOOD)
         assert [w.category for w in warned] == [pmf.exceptions.AmbientWarning]
@@ -292,7 +292,7 @@ def test_what_says_little_is_told():
 
 def test_histories_of_no_model():
     """`dist` has the draws and the log-density of the variable of a model."""
-    response = pmf.spectral_response(oscillator(2.0), 4.0)
+    response = pmf.ambient.spectral_response(oscillator(2.0), 4.0)
     settings = {"error": 1e-2, "bands": [1.0, 3.0], "dt": 0.1}
     free = pmf.AmbientResponse.dist(response, n_samples=2000, **settings)
     values = pm.draw(free, random_seed=1)

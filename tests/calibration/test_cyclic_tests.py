@@ -23,17 +23,17 @@ def declare(displacement, force):
     with pm.Model() as model:
         k = pm.LogNormal("k", np.log(largest / 0.01), 0.7)
         reach = pm.LogNormal("d_y", np.log(0.01), 0.7)
-        degradation = pmf.Degradation(
+        degradation = pmf.structures.Degradation(
             stiffness=pm.HalfNormal("delta_eta", 0.1), strength=pm.HalfNormal("delta_nu", 0.1)
         )
-        specimen = pmf.HystereticSpecimen(
+        specimen = pmf.structures.HystereticSpecimen(
             k,
             yield_displacement=reach,
             post_yield_ratio=pm.Uniform("ratio", 0.0, 0.3),
             degradation=degradation,
-            pinching=pmf.Pinching(pm.Uniform("slip", 0.0, 0.95), spread=0.3),
+            pinching=pmf.structures.Pinching(pm.Uniform("slip", 0.0, 0.95), spread=0.3),
         )
-        mu = pmf.response(specimen, pmf.CyclicTest(displacement))
+        mu = pmf.response(specimen, pmf.structures.CyclicTest(displacement))
         pm.Normal("force", mu, pm.HalfNormal("sigma", 0.2 * largest), observed=force[None])
     return model
 

@@ -5,7 +5,8 @@ import pymc as pm
 import pytensor.tensor as pt
 import pytest
 
-from pymc_features import ExpFeature, GammaFeature, effective_samples, fill_degrees, sample, sample_smc
+from pymc_features import ExpFeature, GammaFeature, effective_samples, sample, sample_smc
+from pymc_features.calibration import fill_degrees
 from pymc_features.exceptions import CalibrationWarning, FeatureLikelihoodWarning
 
 N_SENSORS, N_TIMES, N_FEW = 4, 2000, 400

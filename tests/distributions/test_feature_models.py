@@ -237,7 +237,7 @@ def test_sigma_mpv_is_the_mode_of_the_exp_likelihood():
     """Eq. (11) against a numerical maximum of Eq. (9)."""
     mu, data, _ = random_data(5, n_sensors=6)
     e = pmf.mean_square_discrepancy(mu, data)
-    best = pmf.sigma_mpv(e)
+    best = pmf.likelihoods.sigma_mpv(e)
 
     def loss(log_sigma):
         return -evaluate(pmf.ExpFeature, "feature", "logp", mu, np.exp(log_sigma), data).sum()
@@ -247,24 +247,24 @@ def test_sigma_mpv_is_the_mode_of_the_exp_likelihood():
     assert np.exp(found.x) == pytest.approx(best, rel=1e-6)
     assert best == pytest.approx(np.sqrt(e.sum() / (2 * 6)), rel=1e-14)
     assert isinstance(best, float)
-    batch = pmf.sigma_mpv(np.stack([e, 4 * e]))
+    batch = pmf.likelihoods.sigma_mpv(np.stack([e, 4 * e]))
     np.testing.assert_allclose(batch, [best, 2 * best], rtol=1e-14)
-    assert pmf.sigma_mpv([0.0, 0.0]) == 0.0
+    assert pmf.likelihoods.sigma_mpv([0.0, 0.0]) == 0.0
 
 
 @pytest.mark.parametrize("e", [[-1.0, 2.0], [np.nan], [np.inf], [], 3.0])
 def test_sigma_mpv_refuses(e):
     with pytest.raises(ValueError, match="`e` must be mean squares, finite and not negative, one for each"):
-        pmf.sigma_mpv(e)
+        pmf.likelihoods.sigma_mpv(e)
 
 
 def test_abc_tolerance():
     """Eq. (16); at the most probable sigma the tolerance is the smallest discrepancy itself."""
-    assert pmf.abc_tolerance(0.3, 7) == pytest.approx(2 * 7 * 0.09, rel=1e-15)
+    assert pmf.likelihoods.abc_tolerance(0.3, 7) == pytest.approx(2 * 7 * 0.09, rel=1e-15)
     e = np.array([0.2, 0.5, 0.1])
-    assert pmf.abc_tolerance(pmf.sigma_mpv(e), 3) == pytest.approx(e.sum(), rel=1e-14)
-    assert isinstance(pmf.abc_tolerance(np.float32(1.0), np.int64(2)), float)
-    np.testing.assert_allclose(pmf.abc_tolerance([1.0, 2.0], 2), [4.0, 16.0])
+    assert pmf.likelihoods.abc_tolerance(pmf.likelihoods.sigma_mpv(e), 3) == pytest.approx(e.sum(), rel=1e-14)
+    assert isinstance(pmf.likelihoods.abc_tolerance(np.float32(1.0), np.int64(2)), float)
+    np.testing.assert_allclose(pmf.likelihoods.abc_tolerance([1.0, 2.0], 2), [4.0, 16.0])
 
 
 def test_abc_tolerance_of_a_posterior():
@@ -274,10 +274,10 @@ def test_abc_tolerance_of_a_posterior():
     expected = 2 * 7 * np.quantile(draws.values, 0.9) ** 2
     posterior = xr.Dataset({"sigma": draws, "theta": draws})
     for given in (draws, posterior, xr.DataTree.from_dict({"/posterior": posterior})):
-        assert pmf.abc_tolerance(given, 7) == pytest.approx(expected, rel=1e-14)
+        assert pmf.likelihoods.abc_tolerance(given, 7) == pytest.approx(expected, rel=1e-14)
     each = xr.DataArray(rng.gamma(3.0, size=(2, 500, 3)), dims=("chain", "draw", "sensor"))
     expected = 2 * 3 * np.quantile(each.values, 0.9, axis=(0, 1)) ** 2
-    np.testing.assert_allclose(pmf.abc_tolerance(each, 3), expected, rtol=1e-14)
+    np.testing.assert_allclose(pmf.likelihoods.abc_tolerance(each, 3), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -294,7 +294,7 @@ def test_abc_tolerance_of_a_posterior():
 )
 def test_abc_tolerance_refuses(sigma, n_sensors, error, match):
     with pytest.raises(error, match=match):
-        pmf.abc_tolerance(sigma, n_sensors)
+        pmf.likelihoods.abc_tolerance(sigma, n_sensors)
 
 
 def test_names_in_print(updated):

@@ -15,7 +15,7 @@ CHAIN = pmf.SpringMassChain(np.ones(3), 900.0 * np.ones(3), pmf.ModalDamping(0.0
 
 
 def ambient(observed, **dims):
-    spectral = pmf.spectral_response(CHAIN, 1.0)
+    spectral = pmf.ambient.spectral_response(CHAIN, 1.0)
     return pmf.AmbientResponse(
         "y", spectral, error=0.1, bands=[(1.0, 20.0)], dt=0.02, observed=observed, **dims
     )

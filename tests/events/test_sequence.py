@@ -5,7 +5,8 @@ import pymc as pm
 import pytest
 from scipy.stats import multivariate_normal
 
-from pymc_features import continue_with, sample, sample_in_sequence
+from pymc_features import sample
+from pymc_features.events import continue_with, sample_in_sequence
 from pymc_features.events import sequence as run
 from pymc_features.events.sequence import FittedDensity
 from pymc_features.exceptions import StudyMismatchError

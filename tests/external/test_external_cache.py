@@ -16,7 +16,7 @@ import pytest
 
 from pymc_features import DiscrepancySimulator, ProgramSimulator, TruncNormalFeature
 from pymc_features.exceptions import UnknownIdentityError
-from pymc_features.external import EvaluationCache
+from pymc_features.external.cache import EvaluationCache
 from pymc_features.external.workers.calls import Outcome
 from pymc_features.fingerprint import fingerprint
 from pymc_features.smc.kernels.checkpoint import model_fingerprint

@@ -9,7 +9,8 @@ import pymc as pm
 import pytensor
 import pytest
 
-from pymc_features import ExternalSimulator, PopulationIMH, TruncNormalFeature, sample_smc
+from pymc_features import ExternalSimulator, TruncNormalFeature, sample_smc
+from pymc_features.sampling import PopulationIMH
 from support import external_functions as functions
 from support.external_functions import DATA, SHAPE, Counted, beam, lives, wait_until
 from support.sampling import QUIET

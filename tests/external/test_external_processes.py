@@ -11,11 +11,12 @@ import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_features import ExternalSimulator, PopulationIMH, sample_smc
+from pymc_features import ExternalSimulator, sample_smc
 from pymc_features.exceptions import NoWorkersError, UnusableSimulatorError
-from pymc_features.external import EvaluationCache
+from pymc_features.external.cache import EvaluationCache
 from pymc_features.external.evaluator import Lines
 from pymc_features.external.workers import calls
+from pymc_features.sampling import PopulationIMH
 from support import external_functions as functions
 from support.external_functions import DATA, SECONDS, SHAPE, Counted, Hanging, beam, lives, wait_until
 from support.external_models import BrokenElsewhere

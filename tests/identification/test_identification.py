@@ -109,7 +109,7 @@ def test_three_close_modes():
     assert found.frequencies.size == 3
     assert (np.abs(found.frequencies - f) < 4.0 * found.frequency_sd).all()
     assert (np.abs(found.damping_ratios - zeta) < 4.0 * found.damping_sd).all()
-    assert np.diag(pmf.mac(found.shapes, shapes)).min() > 0.9
+    assert np.diag(pmf.modal.mac(found.shapes, shapes)).min() > 0.9
     shapes /= np.linalg.norm(shapes, axis=1, keepdims=True)
     shapes *= np.sign((found.shapes * shapes).sum(axis=1, keepdims=True))
     assert (np.abs(found.shapes - shapes) < 4.5 * found.shape_sd).all()
@@ -173,7 +173,7 @@ def test_a_band_of_noise_has_no_mode():
     ):
         pmf.identify_modes(noise, [3.0, 4.0])
     with pytest.raises(ValueError, match="`channels` must be of a structure .* without a peak. Pass"):
-        pmf.propose_bands(noise, highest=4.0)
+        pmf.ambient.propose_bands(noise, highest=4.0)
 
 
 def test_a_short_record():
@@ -249,7 +249,7 @@ def test_proposed_bands_hold_the_modes():
     floors = pmf.simulate(pmf.LinearStructure(**building.matrices()._asdict()), wind, sensors=[1, 3])
     floors = floors + 0.02 * rng.standard_normal(floors.shape)
     exact = building.modes().natural_frequencies
-    bands = pmf.propose_bands(floors)
+    bands = pmf.ambient.propose_bands(floors)
     for f in exact:
         assert ((bands[:, 0] < f) & (f < bands[:, 1])).any()
     found = pmf.identify_modes(floors)
@@ -262,7 +262,7 @@ def test_bands_do_not_begin_in_the_drift():
     measured = channels([0.1], [0.01], [[1.0, 2.0]], 3000.0, 3, dt=1.0, noise=0.01)
     walk = np.cumsum(np.random.default_rng(2).standard_normal(measured.shape), axis=1)
     drifting = measured + 0.1 * float(measured.std()) * walk
-    [quiet], [band] = pmf.propose_bands(measured), pmf.propose_bands(drifting)
+    [quiet], [band] = pmf.ambient.propose_bands(measured), pmf.ambient.propose_bands(drifting)
     assert quiet[0] < band[0] < 0.1 < band[1]
     found = pmf.identify_modes(drifting)
     assert found.frequencies.size == 1 and abs(found.frequencies - 0.1) < 4.0 * found.frequency_sd

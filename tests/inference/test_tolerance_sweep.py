@@ -4,8 +4,9 @@ import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_features import DiscrepancySimulator, tolerance_sweep
+from pymc_features import DiscrepancySimulator
 from pymc_features.exceptions import ToleranceNotReachedError
+from pymc_features.sampling import tolerance_sweep
 
 QUIET = {"chains": 2, "cores": 1, "progressbar": False, "compile_kwargs": {"mode": "FAST_COMPILE"}}
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from pymc_features import read_channels, read_channels_with_gaps
+from pymc_features import read_channels
+from pymc_features.io import read_channels_with_gaps
 from support.warned import messages
 
 N = 60

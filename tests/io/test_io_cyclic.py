@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pymc_features import read_cyclic_test
+from pymc_features.io import read_cyclic_test
 from support.refusals import refusals
 
 D, F = np.array([0.0, 1.5, -2.5, 4.0]), np.array([0.0, 20.0, -30.0, 35.0])

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from pymc_features import ModalData, read_modal
+from pymc_features import read_modal
 from pymc_features.exceptions import ModalDataWarning
+from pymc_features.modal import ModalData
 from support import modal_files as files
 from support.modal_files import DAMPING, FREQUENCIES, IMAGINARY, SHAPES
 from support.refusals import refusals

@@ -14,7 +14,8 @@ import pyuff
 from scipy import sparse
 from scipy.io import mmwrite, savemat
 
-from pymc_features import read_channels, read_channels_with_gaps, read_matrices, read_modal, read_record
+from pymc_features import read_channels, read_matrices, read_modal, read_record
+from pymc_features.io import read_channels_with_gaps
 from pymc_features.io.formats.libraries import KINDS
 from support import modal_files
 from support import record_files as files

@@ -7,7 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from pymc_features import ModalData, read_channels, read_modal, read_record, write_modal
+from pymc_features import read_channels, read_modal, read_record
+from pymc_features.modal import ModalData, write_modal
 
 RNG = np.random.default_rng(3)
 A, B = np.round(RNG.normal(size=(2, 40)), 5)

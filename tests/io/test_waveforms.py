@@ -10,8 +10,8 @@ import obspy
 import pytest
 from obspy.io.nied import knet as nied
 
-from pymc_features import read_channels, read_channels_with_gaps, read_record
-from pymc_features.io import FORMATS
+from pymc_features import read_channels, read_record
+from pymc_features.io import FORMATS, read_channels_with_gaps
 from pymc_features.io.formats import TEXT
 from pymc_features.io.formats.libraries import KINDS, WAVEFORMS
 from pymc_features.io.reading.recording import Opening

@@ -21,7 +21,7 @@ def channels(start=0.0, step=0.005, names=("1X", "12-Z"), units="m/s^2", values=
 @pytest.mark.parametrize("step", [0.005, 1.0 / 120.0])
 def test_channels(tmp_path, ending, start, step):
     given, path = channels(start, step), tmp_path / f"frame.{ending}"
-    pmf.write_channels(given, path)
+    pmf.io.write_channels(given, path)
     found = pmf.read_channels(path)
     np.testing.assert_array_equal(found.values, given.values)
     np.testing.assert_allclose(found["time"], given["time"], rtol=1e-9)
@@ -35,9 +35,9 @@ def test_dates_and_gaps(tmp_path):
     values = np.where(RNG.random(VALUES.shape) < 0.1, np.nan, VALUES)
     values[:, 0] = VALUES[:, 0]
     given = channels(1715990390.25, values=values, names=("base, north", "roof"))
-    pmf.write_channels(given, tmp_path / "frame.csv")
+    pmf.io.write_channels(given, tmp_path / "frame.csv")
     assert "2024-05-17T23:59:50.25" in (tmp_path / "frame.csv").read_text()
-    found = pmf.read_channels_with_gaps(tmp_path / "frame.csv")
+    found = pmf.io.read_channels_with_gaps(tmp_path / "frame.csv")
     np.testing.assert_array_equal(found.values, values)
     assert found.attrs["start"] == 1715990390.25
     assert list(found["sensor"].values) == ["base, north", "roof"]
@@ -57,21 +57,21 @@ def test_channels_that_are_not_written(tmp_path, given, name, match):
         given = given.copy()
         given[0, 3] = np.nan
     with pytest.raises(ValueError, match=match):
-        pmf.write_channels(given, tmp_path / name)
+        pmf.io.write_channels(given, tmp_path / name)
 
 
 def modes(complex_=False, **changes):
     shapes = np.array([[0.6, 1.0, 0.2], [1.0, np.nan, -0.4]])
     shapes = shapes * np.exp(0.1j * np.arange(3)) if complex_ else shapes
     given = {"damping_ratios": [0.01, np.nan], "frequency_sd": [0.01, 0.02]} | changes
-    return pmf.ModalData([1.25, 3.5], shapes, ["1X", "2Z", "10Y"], **given)
+    return pmf.modal.ModalData([1.25, 3.5], shapes, ["1X", "2Z", "10Y"], **given)
 
 
 @pytest.mark.parametrize("complex_", [False, True])
 @pytest.mark.parametrize("ending", ["csv", "json"])
 def test_modes(tmp_path, ending, complex_):
     given = modes(complex_, shape_sd=0.1 * np.ones((2, 3)), damping_sd=[0.001, np.nan])
-    pmf.write_modal(given, tmp_path / f"modes.{ending}")
+    pmf.modal.write_modal(given, tmp_path / f"modes.{ending}")
     found = pmf.read_modal(tmp_path / f"modes.{ending}", real=False)
     for name in ("frequencies", "shapes", "frequency_sd", "damping_ratios", "damping_sd", "shape_sd"):
         np.testing.assert_array_equal(getattr(found, name), getattr(given, name))
@@ -82,7 +82,7 @@ def test_modes(tmp_path, ending, complex_):
 def test_modes_of_a_universal_file(tmp_path, complex_):
     """Six digits, as data sets 55 have; another reader finds the same."""
     given = modes(complex_, damping_ratios=[0.01, 0.02])
-    pmf.write_modal(given, tmp_path / "modes.uff")
+    pmf.modal.write_modal(given, tmp_path / "modes.uff")
     found = pmf.read_modal(tmp_path / "modes.uff", real=False)
     order = [found.channels.index(name) for name in given.channels]
     np.testing.assert_allclose(found.frequencies, given.frequencies, rtol=1e-5)
@@ -95,15 +95,15 @@ def test_modes_of_a_universal_file(tmp_path, complex_):
 
 
 def test_labels_of_modes(tmp_path):
-    given = pmf.ModalData([1.2, 1.21, 3.5], labels=["a", "a", "b"])
-    pmf.write_modal(given, tmp_path / "modes.csv")
+    given = pmf.modal.ModalData([1.2, 1.21, 3.5], labels=["a", "a", "b"])
+    pmf.modal.write_modal(given, tmp_path / "modes.csv")
     assert list(pmf.read_modal(tmp_path / "modes.csv").labels) == ["a", "a", "b"]
     with pytest.raises(ValueError, match=r"a table \(.csv\) for modes with labels"):
-        pmf.write_modal(given, tmp_path / "modes.json")
+        pmf.modal.write_modal(given, tmp_path / "modes.json")
 
 
 def test_modes_that_are_not_written(tmp_path):
     with pytest.raises(TypeError, match="`modal` must be a ModalData, got dict"):
-        pmf.write_modal({}, tmp_path / "modes.csv")
+        pmf.modal.write_modal({}, tmp_path / "modes.csv")
     with pytest.raises(ValueError, match="channels named by node and direction"):
-        pmf.write_modal(pmf.ModalData([1.0], [[1.0]], ["roof"]), tmp_path / "modes.uff")
+        pmf.modal.write_modal(pmf.modal.ModalData([1.0], [[1.0]], ["roof"]), tmp_path / "modes.uff")

@@ -33,7 +33,7 @@ def errors(theta, data, epsilon):
     """e (entry,) by NumPy: the best of all assignments."""
     found = storeys(theta).modes()
     e_f = np.square(np.log(data["frequencies"])[:, None] - np.log(found.natural_frequencies))
-    e_s = 1.0 - pmf.mac(data["shapes"], found.mode_shapes.T)
+    e_s = 1.0 - pmf.modal.mac(data["shapes"], found.mode_shapes.T)
     has = (~np.isnan(data["shapes"])).sum(axis=1) > 1
     options = []
     for r in itertools.permutations(range(3)):
@@ -67,8 +67,8 @@ def test_draws_are_the_matched_modes():
     for i, r in ((0, 2), (1, 0)):
         known = ~np.isnan(DATA["shapes"][i])
         measured, own = DATA["shapes"][i, known], draw[i, 1:][known]
-        assert pmf.mac([own], [found.mode_shapes[known, r]])[0, 0] == pytest.approx(1.0)
-        e = 1.0 - pmf.mac([measured], [own])[0, 0]  # at the best scale
+        assert pmf.modal.mac([own], [found.mode_shapes[known, r]])[0, 0] == pytest.approx(1.0)
+        e = 1.0 - pmf.modal.mac([measured], [own])[0, 0]  # at the best scale
         assert np.sum((own - measured) ** 2) / np.sum(measured**2) == pytest.approx(e, rel=1e-9)
         assert not draw[i, 1:][~known].any()
     assert not draw[2, 1:].any()

@@ -182,7 +182,7 @@ def test_stock_smc_fills_the_exact_interval(pulse, measured, rho):
     alarm in 1e4 seeds. The prior is the negative control.
     """
     e = pmf.mean_square_discrepancy(pmf.simulate(with_first_spring(1.0), pulse).values, measured)
-    epsilon = pmf.abc_tolerance(1.5 * pmf.sigma_mpv(e), n_sensors=3)
+    epsilon = pmf.likelihoods.abc_tolerance(1.5 * pmf.likelihoods.sigma_mpv(e), n_sensors=3)
     low, high = exact_interval(rho, epsilon)
     model = build_model(pulse, measured, epsilon=epsilon)
     with model:

@@ -13,8 +13,9 @@ from pytensor.graph.replace import vectorize_graph
 from pytensor.tensor.blockwise import Blockwise
 from scipy import optimize, stats
 
-from pymc_features import AffineStructure, ModalDamping, ModalFeature, SpringMassChain, mac, modes, sample
+from pymc_features import AffineStructure, ModalDamping, ModalFeature, SpringMassChain, modes, sample
 from pymc_features.exceptions import ModalMatchWarning
+from pymc_features.modal import mac
 from pymc_features.modal.feature import checked_parameters
 from pymc_features.modal.identified import identified
 from pymc_features.modal.matching import Assignment

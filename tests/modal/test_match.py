@@ -7,8 +7,9 @@ import pymc as pm
 import pytest
 import xarray as xr
 
-from pymc_features import AffineStructure, ModalDamping, ModalFeature, match_modes, modes
+from pymc_features import AffineStructure, ModalDamping, ModalFeature, modes
 from pymc_features.exceptions import ModalMatchWarning
+from pymc_features.modal import match_modes
 
 X = np.array([[2.0, -1.0], [-1.0, 1.0]])
 ZERO = np.zeros((2, 2))

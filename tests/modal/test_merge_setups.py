@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pymc_features import ModalData, merge_setups
 from pymc_features.exceptions import ModalDataWarning
+from pymc_features.modal import ModalData, merge_setups
 from support.refusals import refusals
 
 N = 9

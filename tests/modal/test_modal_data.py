@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from pymc_features import ModalData, mac
+from pymc_features.modal import ModalData, mac
 from support.refusals import refusals
 
 F = [1.2, 3.5, 5.0]

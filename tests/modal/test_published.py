@@ -59,7 +59,7 @@ def test_modes_of_the_footbridge_are_the_published_ones(name, bridge, bridge_mod
     n = len(expected["frequencies_hz"])
     np.testing.assert_allclose(frequencies[:n], expected["frequencies_hz"], rtol=1e-6)
     taken = expected.get("best_match", range(5))
-    values = pmf.mac(bridge.modal.shapes, shapes)
+    values = pmf.modal.mac(bridge.modal.shapes, shapes)
     np.testing.assert_allclose(values[range(5), list(taken)], expected["mac"], rtol=1e-6)
 
 
@@ -78,7 +78,9 @@ def test_the_swapped_modes_of_the_footbridge_are_matched(bridge, published):
     own = published["footbridge"]
     optima = [own[name]["alpha"] for name in ("published_optimum_mac", "published_optimum_vector")]
     points = xr.Dataset({"alpha": (("chain", "draw", "part"), np.array([[np.zeros(17), *optima]]))})
-    tables = {s: pmf.match_modes(points, model=bridge_model(bridge, s)).isel(chain=0) for s in (0.003, 0.2)}
+    tables = {
+        s: pmf.modal.match_modes(points, model=bridge_model(bridge, s)).isel(chain=0) for s in (0.003, 0.2)
+    }
     np.testing.assert_array_equal(tables[0.2]["model_mode"][0], own["nominal"]["best_match"])
     for table in tables.values():
         np.testing.assert_array_equal(table["model_mode"][1:], [range(5)] * 2)

@@ -9,8 +9,9 @@ import xarray as xr
 from scipy import stats
 from scipy.special import gammaln
 
-from pymc_features import ModalDamping, ModalFeature, SpringMassChain, mac, match_modes, modes
+from pymc_features import ModalDamping, ModalFeature, SpringMassChain, modes
 from pymc_features.exceptions import ModalMatchWarning
+from pymc_features.modal import mac, match_modes
 from pymc_features.modal.feature import checked_parameters
 from pymc_features.modal.identified import LEAST, identified
 from support.graphs import LIGHT, PLAIN

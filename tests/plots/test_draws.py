@@ -79,7 +79,7 @@ def quantiles_of(density):
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("kind", plots.draws.KINDS)
 def test_densities_of_chains_have_the_quantiles_of_their_draws(idata, kind, backend):
-    drawn = plots.plot_chains(idata, kind, backend=backend)
+    drawn = plots.chains(idata, kind, backend=backend)
     for k, draws in enumerate(entries(idata)):
         densities = drawn_lines(drawn, 2 * k)
         assert len(densities) == 2
@@ -95,7 +95,7 @@ def test_densities_of_chains_have_the_quantiles_of_their_draws(idata, kind, back
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_ranks_of_chains_are_those_of_their_draws(idata, backend):
     """Share of a chain's draws below a rank among all, less what chains that agree have there."""
-    drawn = plots.plot_chains(idata, "rank", backend=backend)
+    drawn = plots.chains(idata, "rank", backend=backend)
     for k, draws in enumerate(entries(idata)):
         ranks = stats.rankdata(draws).reshape(draws.shape) / draws.size
         lines = drawn_lines(drawn, 2 * k + 1)
@@ -107,7 +107,7 @@ def test_ranks_of_chains_are_those_of_their_draws(idata, backend):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_traces_are_the_draws(idata, backend):
-    drawn = plots.plot_chains(idata, "trace", backend=backend)
+    drawn = plots.chains(idata, "trace", backend=backend)
     for k, draws in enumerate(entries(idata)):
         lines = {tuple(line[1]) for line in drawn_lines(drawn, 2 * k + 1)}
         assert lines == {tuple(chain) for chain in draws}
@@ -115,7 +115,7 @@ def test_traces_are_the_draws(idata, backend):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_prior_and_posterior_are_histograms_of_their_draws(idata, backend):
-    drawn = plots.plot_prior_posterior(idata, backend=backend)
+    drawn = plots.prior_posterior(idata, backend=backend)
     areas = drawn_areas(drawn, 0)
     assert len(areas) == 2
     for group, (values, heights) in zip(("prior", "posterior"), areas, strict=True):
@@ -147,7 +147,7 @@ def test_a_narrow_posterior_leaves_its_prior_to_be_seen(idata):
     rng = np.random.default_rng(2)
     narrow = xr.Dataset({"sigma": (("chain", "draw"), rng.normal(1.0, 1e-3, (2, 500)))})
     tree = xr.DataTree.from_dict({"posterior": narrow, "prior": idata["prior"].to_dataset()})
-    [before, after] = drawn_areas(plots.plot_prior_posterior(tree), 0)
+    [before, after] = drawn_areas(plots.prior_posterior(tree), 0)
     assert before[1].max() == after[1].max() == 1.0
 
 
@@ -165,7 +165,7 @@ def updated():
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_natural_frequencies_are_drawn_as_intervals_of_their_draws(updated, backend):
-    drawn = plots.plot_natural_frequencies(updated, backend=backend)
+    drawn = plots.natural_frequencies(updated, backend=backend)
     found = updated["EXP/modal"]["natural_frequency"].values.reshape(-1, 2)
     low, middle, high = np.quantile(found, PROBABILITIES, axis=0)
     for line, values in zip(drawn_lines(drawn, 0), updated["data"]["gain"].values, strict=True):
@@ -188,24 +188,24 @@ def test_natural_frequencies_are_drawn_as_intervals_of_their_draws(updated, back
     assert (marks["peaks of the gain"], marks["given"]) == (1.1, 1.0)
     assert limits == pytest.approx((0.0, 1.3 * high[1]))
     with pytest.raises(ValueError, match="`result` must have a likelihood with natural frequencies"):
-        plots.plot_natural_frequencies(xr.DataTree(), backend=backend)
+        plots.natural_frequencies(xr.DataTree(), backend=backend)
 
 
 def test_chains_are_drawn_on_axes_of_ones_own(idata):
-    axes = plots.plot_chains(idata, "trace", ["sigma"])
+    axes = plots.chains(idata, "trace", ["sigma"])
     _, own = plt.subplots(2)
-    assert plots.plot_chains(idata, "trace", ["sigma"], axes=own)[0] is own[0]
+    assert plots.chains(idata, "trace", ["sigma"], axes=own)[0] is own[0]
     for ax, other in zip(own, axes, strict=True):
         assert len(ax.lines) == len(other.lines) > 0
         for line, same in zip(ax.lines, other.lines, strict=True):
             np.testing.assert_array_equal(line.get_xydata(), same.get_xydata())
     with pytest.raises(ValueError, match="`axes` must be one for each of 2 columns"):
-        plots.plot_chains(idata, "rank", ["sigma"], axes=own[:1])
+        plots.chains(idata, "rank", ["sigma"], axes=own[:1])
     with pytest.raises(ValueError, match="`kind` must be one of rank, trace, got 'bars'"):
-        plots.plot_chains(idata, "bars")
+        plots.chains(idata, "bars")
 
 
-@pytest.mark.parametrize("draw", [plots.plot_chains, plots.plot_prior_posterior])
+@pytest.mark.parametrize("draw", [plots.chains, plots.prior_posterior])
 def test_backends_that_are_not_there(idata, draw, monkeypatch):
     with pytest.raises(ValueError, match="`backend` must be one of matplotlib, plotly, bokeh, got 'gnuplot'"):
         draw(idata, backend="gnuplot")

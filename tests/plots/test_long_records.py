@@ -58,7 +58,7 @@ def test_envelope_holds_every_sample():
 def test_long_records_are_drawn_by_their_envelopes():
     """5 Hz for 200 s: 1000 oscillations on 700 pixels."""
     idata = updated(LONG, 5.0)
-    axes = plots.plot_predictive(idata)
+    axes = plots.predictive(idata)
     observed, drawn = idata["observed_data"]["y"].values[1], areas(axes[1])
     assert "measured" not in {line.get_label() for line in axes[1].lines}
     corners = drawn["measured"][1]
@@ -81,12 +81,12 @@ def test_long_records_are_drawn_by_their_envelopes():
 def test_long_records_of_slow_structures_keep_their_lines():
     """0.2 Hz for 200 s: 40 oscillations, each wide enough; the noise of 20,000 samples is below the line."""
     idata = updated(LONG, 0.2)
-    axes = plots.plot_predictive(idata)
+    axes = plots.predictive(idata)
     [line] = axes[0].lines
     np.testing.assert_array_equal(line.get_ydata(), idata["bands"]["response"].values[1, 0])
     measured = next(area for area in axes[0].collections if area.get_label() == "measured")
     assert measured.get_zorder() < line.get_zorder()
-    [zoomed] = plots.plot_predictive(idata, "floor2", window=(90.0, 94.0))
+    [zoomed] = plots.predictive(idata, "floor2", window=(90.0, 94.0))
     assert [line.get_label() for line in zoomed.lines] == ["median response", "measured"]
 
 
@@ -95,7 +95,7 @@ def test_response_bands_of_long_records():
     idata = updated(LONG, 5.0)
     result = idata["bands"].to_dataset().rename(response="absolute_acceleration")
     measured = idata["observed_data"]["y"].isel(time=slice(10_000)).sel(sensor=["floor2"])
-    axes = plots.plot_response_bands(result, "absolute_acceleration", measured=measured)
+    axes = plots.response(result, "absolute_acceleration", measured=measured)
     assert [len(ax.lines) for ax in axes] == [2, 2]
     corners = areas(axes[1])["measured"]
     assert corners[0].max() == pytest.approx(99.99)
@@ -106,10 +106,10 @@ def test_response_bands_of_long_records():
 def test_wide_errors_leave_the_response_readable():
     """A predictive band of 100 m/s^2 around a response of 2 takes two thirds of the height, not all."""
     time = LONG[:500]
-    [ax] = plots.plot_predictive(updated(time, 1.0, around=100.0), "floor2")
+    [ax] = plots.predictive(updated(time, 1.0, around=100.0), "floor2")
     low, high = ax.get_ylim()
     assert 2.5 * 4.0 < high - low < 3.5 * 4.0
-    [ax] = plots.plot_predictive(updated(time, 1.0, around=0.5), "floor2")
+    [ax] = plots.predictive(updated(time, 1.0, around=0.5), "floor2")
     low, high = ax.get_ylim()
     assert low < -2.4 and high > 2.4  # all of a band that is not wide
 
@@ -132,9 +132,9 @@ def test_long_titles_are_broken(name):
         [record.acceleration], {"sensor": [name], "time": record.time}, ("sensor", "time")
     )
     figures = [
-        plots.plot_record(record),
-        plots.plot_channels(channels),
-        plots.plot_predictive(updated(LONG[:300], 1.0, names=(name, "roof"))),
+        plots.record(record),
+        plots.channels(channels),
+        plots.predictive(updated(LONG[:300], 1.0, names=(name, "roof"))),
     ]
     for axes in figures:
         [ax, *_] = axes
@@ -156,7 +156,7 @@ def test_short_titles_stay_on_one_line():
 def test_long_names_of_parameters_are_broken():
     draws = {"stiffness_of_the_storeys_below_the_transfer_beam": (("chain", "draw"), np.arange(100.0)[None])}
     idata = xr.DataTree.from_dict({"posterior": xr.Dataset(draws), "prior": xr.Dataset(draws)})
-    [ax] = plots.plot_prior_posterior(idata, units=dict.fromkeys(draws, "N/m"))
+    [ax] = plots.prior_posterior(idata, units=dict.fromkeys(draws, "N/m"))
     ax.figure.canvas.draw()
     assert is_inside(ax.xaxis.label)
     assert "".join(ax.get_xlabel().split()) == f"{next(iter(draws))}[N/m]"

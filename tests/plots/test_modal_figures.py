@@ -5,7 +5,8 @@ import numpy as np
 import pymc as pm
 import pytest
 
-from pymc_features import ModalDamping, ModalData, SpringMassChain, mac, modes, plots
+from pymc_features import ModalDamping, SpringMassChain, modes, plots
+from pymc_features.modal import ModalData, mac
 
 CHANNELS = [0, 2]
 
@@ -32,7 +33,7 @@ def measured():
 def test_mac_matrix(measured, draws):
     frequencies, shapes = draws
     at = shapes[..., CHANNELS]
-    [ax] = plots.plot_mac(measured, at, frequencies, partners=[0, 1])
+    [ax] = plots.mac(measured, at, frequencies, partners=[0, 1])
     flat = at.reshape(40, 3, 2)
     products = np.array(
         [[[abs(a @ b) ** 2 / (a @ a) / (b @ b) for b in d] for a in measured.shapes] for d in flat]
@@ -54,33 +55,33 @@ def test_modes_go_into_figures_as_they_are(measured):
     rows = found.mode_shapes.T[:, CHANNELS]
     others = ModalData(found.natural_frequencies, rows, measured.channels)
     for given in (modes(chain, sensors=CHANNELS), others):
-        [ax] = plots.plot_mac(measured, given)
+        [ax] = plots.mac(measured, given)
         np.testing.assert_allclose(ax.images[0].get_array(), mac(measured.shapes, rows), rtol=1e-12)
         assert ax.get_xticklabels()[0].get_text() == f"f1: {found.natural_frequencies[0]:.4g}"
-    axes = plots.plot_mode_shapes(measured, found, sensors=CHANNELS)
+    axes = plots.mode_shapes(measured, found, sensors=CHANNELS)
     assert f"model f1: {found.natural_frequencies[0]:.4g} Hz" in axes[0].get_title()
     with pm.Model():
         factor = pm.LogNormal("factor")
         random = modes(SpringMassChain(np.ones(3), 100.0 * factor, ModalDamping(0.01)), sensors=CHANNELS)
         with pytest.raises(TypeError, match="`shapes` must be modes of numbers, got those of random"):
-            plots.plot_mac(measured, random)
+            plots.mac(measured, random)
 
 
 def test_mac_matrix_of_one_structure_and_of_missing_entries(measured):
     _, shapes = chain_modes([1.0, 1.1, 0.9])
     whole = ModalData([1.0, 2.0], [[1.0, 2.0, np.nan], [np.nan] * 2 + [1.0]], ["a", "b", "c"])
-    [ax] = plots.plot_mac(whole, shapes)
+    [ax] = plots.mac(whole, shapes)
     expected = mac(whole.shapes, shapes)
     assert [t.get_text() for t in ax.texts[:3]] == [f"{v:.2f}" for v in expected[0]]
     assert ax.get_xlabel() == "mode of the model"
     nothing = ModalData([1.0, 2.0], [[1.0, np.nan], [np.nan, 1.0]], ["a", "b"])
-    [ax] = plots.plot_mac(nothing, [[0.0, 1.0], [1.0, 0.0]], axes=ax)
+    [ax] = plots.mac(nothing, [[0.0, 1.0], [1.0, 0.0]], axes=ax)
     assert [t.get_text() for t in ax.texts[-4:]] == ["-", "1.00", "1.00", "-"]
 
 
 def test_shapes_along_the_storeys(measured, draws):
     frequencies, shapes = draws
-    axes = plots.plot_mode_shapes(measured, shapes, frequencies, sensors=CHANNELS)
+    axes = plots.mode_shapes(measured, shapes, frequencies, sensors=CHANNELS)
     flat = shapes.reshape(40, 3, 3)
     for k, ax in enumerate(axes):
         lines = {line.get_label(): line.get_xydata() for line in ax.lines}
@@ -100,9 +101,9 @@ def test_shapes_along_the_storeys(measured, draws):
 def test_partners_are_those_of_the_largest_mac(measured, draws):
     _, shapes = draws
     reversed_modes = shapes[..., ::-1, :]
-    axes = plots.plot_mode_shapes(measured, reversed_modes, sensors=CHANNELS)
+    axes = plots.mode_shapes(measured, reversed_modes, sensors=CHANNELS)
     assert [ax.get_title().split("\n")[1] for ax in axes] == [f"model f{k}" for k in (3, 2)]
-    axes = plots.plot_mode_shapes(measured, shapes, sensors=CHANNELS, partners=[2, 2], axes=axes)
+    axes = plots.mode_shapes(measured, shapes, sensors=CHANNELS, partners=[2, 2], axes=axes)
     assert [ax.get_title().split("\n")[1] for ax in axes] == ["model f3"] * 2
 
 
@@ -112,7 +113,7 @@ def test_shapes_in_space():
     mast["directions"] = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [0, 1, 0]]
     modes = ModalData([1.0], [[0.5, 1.0]], ["first", "top"])
     shapes = [[0.7, 0.5, 1.0, 0.0, 0.2], [0.0, 0.0, 0.0, 0.6, 1.0]]
-    [ax] = plots.plot_mode_shapes(modes, shapes, sensors=[1, 2], nodes=mast)
+    [ax] = plots.mode_shapes(modes, shapes, sensors=[1, 2], nodes=mast)
     lines = {line.get_label(): line.get_xydata() for line in ax.lines}
     step, oblique = 0.15 * 10.0, 0.45 * np.array([np.cos(0.6), np.sin(0.6)])
     moved = step * np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
@@ -126,7 +127,7 @@ def test_shapes_in_space():
 def test_plane_of_a_bridge(draws):
     modes = ModalData([1.0], [[0.5, 1.0, 0.4]], ["a", "b", "c"])
     deck = {"coordinates": [[0.0, 0.0], [5.0, 0.0], [10.0, 0.0]]}
-    [ax] = plots.plot_mode_shapes(modes, draws[1], nodes=deck)
+    [ax] = plots.mode_shapes(modes, draws[1], nodes=deck)
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "z [m]")
     measured = {line.get_label(): line.get_xydata() for line in ax.lines}["measured"]
     np.testing.assert_allclose(measured, [[0.0, 0.75], [5.0, 1.5], [10.0, 0.6]])
@@ -135,7 +136,7 @@ def test_plane_of_a_bridge(draws):
 
 def test_figures_of_modes_refuse_what_does_not_fit(measured, draws):
     _, shapes = draws
-    mac_of, shapes_of, at = plots.plot_mac, plots.plot_mode_shapes, {"sensors": CHANNELS}
+    mac_of, shapes_of, at = plots.mac, plots.mode_shapes, {"sensors": CHANNELS}
     three = np.zeros((3, 3))
     for figure, given, settings, words in (
         (mac_of, (ModalData([1.0]), np.eye(2)), {}, "`measured` must be a ModalData with shapes, got freq"),
@@ -161,4 +162,4 @@ def test_figures_of_modes_refuse_what_does_not_fit(measured, draws):
         ({"lines": [[0, 1]]}, "a mapping of coordinates, directions, lines"),
     ):
         with pytest.raises(ValueError, match=f"`nodes` must be {words}"):
-            plots.plot_mode_shapes(measured, shapes, sensors=CHANNELS, nodes=nodes)
+            plots.mode_shapes(measured, shapes, sensors=CHANNELS, nodes=nodes)

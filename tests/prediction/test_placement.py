@@ -109,11 +109,11 @@ def test_of_a_structure():
     draws = xr.Dataset({"k": (("chain", "draw"), np.full((1, 30), 1.0))})
     idata = xr.DataTree.from_dict({"posterior": draws})
     found = pmf.sensor_placement(model, None, 2, "prediction", idata=idata, draws=1, random_seed=1)
-    axes = pmf.plot_sensor_placement(found)
+    axes = pmf.plots.sensor_placement(found)
     assert len(axes) == 2 and [t.get_text() for t in axes[0].texts] == ["1", "2"]
     pmf.plots.close(axes)
     with pytest.raises(TypeError, match="`result` must be a Dataset"):
-        pmf.plot_sensor_placement(None)
+        pmf.plots.sensor_placement(None)
 
 
 REFUSED = {  # what is said: what is given

@@ -172,7 +172,9 @@ def test_bands_are_those_of_all_histories(idata, structure, load, settings, memo
     names = list(UNITS) if drifts else [name for name in UNITS if name != "inter_storey_drift"]
     if structure is without_top_mass:
         names.remove("base_shear")
-    found = pmf.posterior_response(idata, structure, load, names, quantiles=[0.1, 0.5, 0.95], **settings)
+    found = pmf.prediction.posterior_response(
+        idata, structure, load, names, quantiles=[0.1, 0.5, 0.95], **settings
+    )
     for name in names:
         assert_bands(found, name, np.stack([slow_history(one, load, name, **settings) for one in many]))
     dt = settings.get("dt") or load.dt
@@ -181,7 +183,7 @@ def test_bands_are_those_of_all_histories(idata, structure, load, settings, memo
     dims = {"inter_storey_drift": ("quantile", "storey", "time"), "base_shear": ("quantile", "time")}
     if structure is two_supports:
         dims["base_shear"] = "quantile", "support", "time"
-        axes = pmf.plot_response_bands(found, "base_shear")
+        axes = pmf.plots.response(found, "base_shear")
         assert axes[1].get_title() == "base shear, support 1"
         plots.close(axes)
     assert all(found[name].dims == dims.get(name, ("quantile", "sensor", "time")) for name in names)
@@ -191,12 +193,14 @@ def test_bands_are_those_of_all_histories(idata, structure, load, settings, memo
 def test_combinations_and_chosen_sensors(idata, structure):
     many = structures_of(idata, structure)
     asked = {"quantity": "relative_velocity", "outputs": DRIFTS[1:]}
-    found = pmf.posterior_response(idata, structure, OTHER, "relative_velocity", outputs=DRIFTS[1:])
+    found = pmf.prediction.posterior_response(
+        idata, structure, OTHER, "relative_velocity", outputs=DRIFTS[1:]
+    )
     assert found["sensor"].attrs["long_name"] == "row of outputs"
     assert_bands(found, "relative_velocity", np.stack([pmf.simulate(s, OTHER, **asked) for s in many]))
     names = ["relative_velocity", "base_shear"] + ["inter_storey_drift"] * (structure in (chain, bouc_wen))
-    every = pmf.posterior_response(idata, structure, OTHER, names)
-    some = pmf.posterior_response(idata, structure, OTHER, names, sensors=[2, 0])
+    every = pmf.prediction.posterior_response(idata, structure, OTHER, names)
+    some = pmf.prediction.posterior_response(idata, structure, OTHER, names, sensors=[2, 0])
     chosen = {"sensor": [2, 0]} | ({"storey": [2, 0]} if "storey" in every.dims else {})
     xr.testing.assert_allclose(some, every.sel(chosen), rtol=0, atol=1e-12)
 
@@ -204,14 +208,14 @@ def test_combinations_and_chosen_sensors(idata, structure):
 def test_forces_where_no_mass_is(idata):
     """Bands of the others and of the base shear."""
     push = pmf.Loading(SHAKE.acceleration, SHAKE.dt, kind="force", matrix=[[0.0], [0.0], [1.0]])
-    pmf.posterior_response(idata, without_top_mass, push, "base_shear")
-    pmf.posterior_response(idata, without_top_mass, push, sensors=[0, 1])
+    pmf.prediction.posterior_response(idata, without_top_mass, push, "base_shear")
+    pmf.prediction.posterior_response(idata, without_top_mass, push, sensors=[0, 1])
     with pytest.raises(ValueError, match="`sensors` must lie on mass"):
-        pmf.posterior_response(idata, without_top_mass, push)
+        pmf.prediction.posterior_response(idata, without_top_mass, push)
 
 
 def test_each_peak_knows_its_draw(idata):
-    found = pmf.posterior_response(idata, chain, SHAKE, "base_shear", draws=10, random_seed=3)
+    found = pmf.prediction.posterior_response(idata, chain, SHAKE, "base_shear", draws=10, random_seed=3)
     assert found.sizes["sample"] == found.attrs["draws_used"] == 10
     assert sorted(set(found["chain"].values)) == [3, 7]
     draws = idata["posterior"].to_dataset()
@@ -219,7 +223,7 @@ def test_each_peak_knows_its_draw(idata):
         one = draws.sel(chain=found["chain"][i], draw=found["draw"][i])
         slow = slow_history(chain(one["k"].values, float(one["damping"])), SHAKE, "base_shear")
         assert float(found["base_shear_peak"][i]) == pytest.approx(np.abs(slow).max(), rel=1e-12)
-    again = pmf.posterior_response(idata, chain, SHAKE, "base_shear", draws=10, random_seed=4)
+    again = pmf.prediction.posterior_response(idata, chain, SHAKE, "base_shear", draws=10, random_seed=4)
     assert (again["draw"].values != found["draw"].values).any()
 
 
@@ -228,7 +232,7 @@ def test_draws_are_evenly_spaced():
     idata = posterior(k=np.ones((2, 100)))
 
     def taken(draws):
-        found = pmf.posterior_response(idata, chain, OTHER, "base_shear", draws=draws)
+        found = pmf.prediction.posterior_response(idata, chain, OTHER, "base_shear", draws=draws)
         return [found["draw"].values[found["chain"].values == c] for c in (0, 1)]
 
     for draws in (8, 9):
@@ -250,10 +254,12 @@ def test_memory_is_bounded(structure, size, memory, share, monkeypatch):
     draws = np.random.default_rng(2).uniform(0.9, 1.2, (1, *size))
     name = "theta" if structure is pmf.paper.chain else "k"
     record = pmf.synthetic_earthquake(31.2, 0.005 if name == "theta" else 0.02, random_seed=1, pga=3.0)
-    pmf.posterior_response(posterior(**{name: draws[:, :4]}), structure, OTHER)  # imports, compilation
+    pmf.prediction.posterior_response(
+        posterior(**{name: draws[:, :4]}), structure, OTHER
+    )  # imports, compilation
     tracemalloc.start()
     try:
-        found = pmf.posterior_response(posterior(**{name: draws}), structure, record)
+        found = pmf.prediction.posterior_response(posterior(**{name: draws}), structure, record)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -263,10 +269,10 @@ def test_memory_is_bounded(structure, size, memory, share, monkeypatch):
 
 
 def test_result_saves(idata, tmp_path):
-    found = pmf.posterior_response(idata, chain, SHAKE, simulators.quantities_of(chain(100.0)))
+    found = pmf.prediction.posterior_response(idata, chain, SHAKE, simulators.quantities_of(chain(100.0)))
     found.to_netcdf(tmp_path / "bands.nc", engine="h5netcdf")
     xr.testing.assert_identical(xr.load_dataset(tmp_path / "bands.nc"), found)
-    risk = pmf.first_passage_probability(idata, chain, [SHAKE, OTHER], [0.01, 0.1])
+    risk = pmf.prediction.first_passage_probability(idata, chain, [SHAKE, OTHER], [0.01, 0.1])
     risk.to_netcdf(tmp_path / "risk.nc", engine="h5netcdf")
     xr.testing.assert_equal(xr.load_dataset(tmp_path / "risk.nc"), risk)
 
@@ -288,11 +294,11 @@ def test_files_are_closed(idata, fails, monkeypatch):
     names = ["base_shear", "relative_velocity"]
     if fails:
         with pytest.raises(RuntimeError, match="no structure"):
-            pmf.posterior_response(idata, broken, SHAKE, names)
+            pmf.prediction.posterior_response(idata, broken, SHAKE, names)
     else:
-        pmf.posterior_response(idata, broken, SHAKE, names)
+        pmf.prediction.posterior_response(idata, broken, SHAKE, names)
     assert len(files) == 2 and all(file.closed for file in files)
-    pmf.first_passage_probability(idata, bouc_wen, SHAKE, 0.01)
+    pmf.prediction.first_passage_probability(idata, bouc_wen, SHAKE, 0.01)
     assert len(files) == 2, "peaks need no file"
 
 
@@ -301,7 +307,7 @@ def test_a_nonlinear_chain_is_integrated_once(idata, monkeypatch):
     inner = simulated.nonlinear_histories
     monkeypatch.setattr(simulated, "nonlinear_histories", lambda *a: counted.append(a) or inner(*a))
     names = ["absolute_acceleration", "base_shear", "inter_storey_drift", "relative_displacement"]
-    pmf.posterior_response(idata, bouc_wen, OTHER, names, draws=6)
+    pmf.prediction.posterior_response(idata, bouc_wen, OTHER, names, draws=6)
     assert len(counted) == 6
 
 
@@ -311,12 +317,12 @@ def test_a_nonlinear_chain_is_integrated_once(idata, monkeypatch):
 def test_impossible_draws_are_left_out_and_counted():
     """A negative stiffness is refused by the structure; one of 1e300 has no response."""
     k = np.ones((2, 4)) * [[1.0], [1.2]]
-    possible = pmf.posterior_response(posterior(k=k), chain, SHAKE, "base_shear")
+    possible = pmf.prediction.posterior_response(posterior(k=k), chain, SHAKE, "base_shear")
     k = np.concatenate([k, [[-1.0], [1e300]]], axis=1)
     k[0, 1] = np.nan
     left_out = pmf.exceptions.PredictionWarning
     with pytest.warns(left_out, match=r"3 of 10 draws have no response .*out: `stiffness` must"):
-        found = pmf.posterior_response(posterior(k=k), chain, SHAKE, "base_shear")
+        found = pmf.prediction.posterior_response(posterior(k=k), chain, SHAKE, "base_shear")
     assert (found.attrs["draws_left_out"], found.attrs["draws_used"]) == (3, 7)
     np.testing.assert_array_equal(found["chain"], [0, 0, 0, 1, 1, 1, 1])
     np.testing.assert_array_equal(found["draw"], [0, 2, 3, 0, 1, 2, 3])
@@ -324,31 +330,33 @@ def test_impossible_draws_are_left_out_and_counted():
     np.testing.assert_allclose(found["base_shear_peak"], expected, rtol=1e-12)
     assert found["base_shear"].notnull().all()
     with pytest.warns(left_out, match="3 of 10 draws"):
-        risk = pmf.first_passage_probability(posterior(k=k), chain, SHAKE, 1e-9)
+        risk = pmf.prediction.first_passage_probability(posterior(k=k), chain, SHAKE, 1e-9)
     assert (risk.attrs["draws_left_out"], float(risk["probability_any"])) == (3, 1.0)
     with pytest.warns(left_out, match="1 of 2 draws .* frequencies or damping are not finite"):
-        pmf.posterior_response(posterior(k=[[1.0, 1e300]]), chain, SHAKE)
+        pmf.prediction.posterior_response(posterior(k=[[1.0, 1e300]]), chain, SHAKE)
     for bad, why in ((-1.0, "none of 2: `stiffness` must be positive"), (1e300, "none of 2. Their freq")):
         with pytest.raises(ValueError, match=f"`structure` must have a response for some draws, got {why}"):
-            pmf.posterior_response(posterior(k=[[bad, bad]]), chain, SHAKE)
+            pmf.prediction.posterior_response(posterior(k=[[bad, bad]]), chain, SHAKE)
 
 
 def test_draws_that_fail_to_integrate_are_left_out():
     """One is refused by the structure, one is too stiff to integrate; the warning points to the call."""
     k, left_out = np.array([[1.0, -1.0, 1.1, 1e30, 1.2]]), pmf.exceptions.PredictionWarning
     with pytest.warns(left_out, match="2 of 5 draws .* out: `stiffness` must be pos") as caught:
-        found = pmf.posterior_response(posterior(k=k), bouc_wen, SHAKE, ["base_shear", "relative_velocity"])
+        found = pmf.prediction.posterior_response(
+            posterior(k=k), bouc_wen, SHAKE, ["base_shear", "relative_velocity"]
+        )
     assert caught[0].filename == __file__
     np.testing.assert_array_equal(found["draw"], [0, 2, 4])
     for name in ("base_shear", "relative_velocity"):
         slow = [pmf.simulate(bouc_wen(v), SHAKE, quantity=name).values for v in (1.0, 1.1, 1.2)]
         assert_bands(found, name, np.stack(slow))
     with pytest.warns(left_out, match="1 of 2 draws .*or their integration fails") as caught:
-        pmf.first_passage_probability(posterior(k=[[1e30, 1.0]]), bouc_wen, [SHAKE, OTHER], 0.01)
+        pmf.prediction.first_passage_probability(posterior(k=[[1e30, 1.0]]), bouc_wen, [SHAKE, OTHER], 0.01)
     assert caught[0].filename == __file__
     with pytest.raises(ValueError, match="must have a response for some draws, got none of 1. Their freq"):
-        pmf.posterior_response(posterior(k=[[1e30]]), bouc_wen, SHAKE)
-    rigid = pmf.posterior_response(posterior(k=[[1e30, 1.0]]), frame, SHAKE)  # follows the base
+        pmf.prediction.posterior_response(posterior(k=[[1e30]]), bouc_wen, SHAKE)
+    rigid = pmf.prediction.posterior_response(posterior(k=[[1e30, 1.0]]), frame, SHAKE)  # follows the base
     assert rigid.attrs["draws_left_out"] == 0
 
 
@@ -365,7 +373,7 @@ def test_first_passage_of_a_proportional_peak():
     unit = np.abs(slow_history(chain(1.0), SHAKE, "base_shear")).max()
     scale = np.random.default_rng(6).normal(1.0, 0.1, (4, 500))
     limits = unit * np.array([0.85, 0.95, 1.0, 1.1, 1.2])
-    found = pmf.first_passage_probability(
+    found = pmf.prediction.first_passage_probability(
         posterior(scale=scale), shear_peaks, SHAKE, limits, "base_shear", draws=2000
     )
     exact = stats.norm(1.0, 0.1).sf(limits / unit)
@@ -387,7 +395,9 @@ def test_first_passage_counts_peaks(idata, structure):
     if structure in (frame, dashpot):
         quantity, asked = "relative_displacement", {"outputs": DRIFTS}
     limits = np.array([0.005, 0.02, 0.03, 0.3])
-    found = pmf.first_passage_probability(idata, structure, [SHAKE, OTHER], limits, quantity, **asked)
+    found = pmf.prediction.first_passage_probability(
+        idata, structure, [SHAKE, OTHER], limits, quantity, **asked
+    )
     many = structures_of(idata, structure)
     slow = [[abs(slow_history(s, r, quantity, **asked)).max(axis=-1) for s in many] for r in (SHAKE, OTHER)]
     np.testing.assert_allclose(found["peak"], slow, rtol=1e-10)
@@ -399,7 +409,7 @@ def test_first_passage_counts_peaks(idata, structure):
     assert set(found["probability_any"].values[[0, -1]]) == {0.0, 1.0}
     assert (found["probability_se"] > 0.0).all(), "no exceedance among 30 draws is not certain"
     assert found["record_name"].values.tolist() == [SHAKE.name, OTHER.name]
-    alone = pmf.first_passage_probability(idata, structure, OTHER, 0.02, quantity, **asked)
+    alone = pmf.prediction.first_passage_probability(idata, structure, OTHER, 0.02, quantity, **asked)
     np.testing.assert_array_equal(found["record_probability"][1, 1], alone["probability"])
     assert alone.sizes["record"] == 1 and 0.0 < float(alone["probability_any_se"]) < 0.2
 
@@ -407,7 +417,9 @@ def test_first_passage_counts_peaks(idata, structure):
 def test_first_passage_under_several_loads(idata):
     """Motions of the supports and forces of both kinds in one call, each with its own modal loads."""
     loads = [*LOADS.values(), LOADS["two supports"]]
-    found = pmf.first_passage_probability(idata, two_supports, loads, 1.0, "base_shear", sensors=[0])
+    found = pmf.prediction.first_passage_probability(
+        idata, two_supports, loads, 1.0, "base_shear", sensors=[0]
+    )
     for i, load in enumerate(loads):
         slow = [slow_history(s, load, "base_shear") for s in structures_of(idata, two_supports)]
         np.testing.assert_allclose(found["peak"][i], np.abs(slow).max(axis=-1), rtol=1e-11)
@@ -477,7 +489,7 @@ def test_bands_cover_the_true_unmeasured_response():
             pm.set_data({"data": measured})
             quick = {"compile_kwargs": {"mode": "FAST_COMPILE"}, **SERIAL}
             sampled = pmf.sample_smc(300, chains=1, random_seed=i, **quick)
-        found = pmf.posterior_response(
+        found = pmf.prediction.posterior_response(
             sampled, structure, record, ["inter_storey_drift"], quantiles=[0.05, 0.35, 0.65, 0.95]
         )["inter_storey_drift"].values[..., 20:]
         drift = true["inter_storey_drift"][:, 20:]
@@ -494,9 +506,9 @@ def test_bands_cover_the_true_unmeasured_response():
 
 
 def test_figure_of_bands(idata):
-    found = pmf.posterior_response(idata, chain, SHAKE, ["absolute_acceleration", "base_shear"])
+    found = pmf.prediction.posterior_response(idata, chain, SHAKE, ["absolute_acceleration", "base_shear"])
     measured = pmf.simulate(chain(1.0), SHAKE, sensors=[2], dt=0.04)
-    axes = pmf.plot_response_bands(found, "absolute_acceleration", measured=measured)
+    axes = pmf.plots.response(found, "absolute_acceleration", measured=measured)
     assert len(axes) == 3
     assert [len(ax.lines) for ax in axes] == [1, 1, 2], "measured at sensor 2 only"
     np.testing.assert_array_equal(
@@ -507,14 +519,14 @@ def test_figure_of_bands(idata):
     corners = axes[1].collections[0].get_paths()[0].vertices[:, 1]
     assert set(bands.sel(quantile=0.05).values) | set(bands.sel(quantile=0.95).values) <= set(corners)
     assert (axes[1].get_title(), axes[1].get_ylabel()) == ("absolute acceleration, sensor 1", "[m/s²]")
-    [again] = pmf.plot_response_bands(
+    [again] = pmf.plots.response(
         found, "absolute_acceleration", 1, np.zeros((1, found.sizes["time"])), axes[1]
     )
     assert again is axes[1]
     plots.close(axes[:1])
     shear = np.ones(found.sizes["time"])
     for given in (shear, xr.DataArray(shear, {"time": found["time"]}, "time")):
-        [ax] = pmf.plot_response_bands(found, "base_shear", measured=given)
+        [ax] = pmf.plots.response(found, "base_shear", measured=given)
         assert ax.get_title() == "base shear"
         np.testing.assert_array_equal(ax.lines[1].get_ydata(), shear)
         plots.close([ax])
@@ -536,9 +548,9 @@ FIGURE_REFUSES = {  # what is said: what is given
 
 @refusals("arguments", FIGURE_REFUSES)
 def test_figure_refuses(idata, arguments, match):
-    found = pmf.posterior_response(idata, chain, SHAKE, ["absolute_acceleration", "base_shear"])
+    found = pmf.prediction.posterior_response(idata, chain, SHAKE, ["absolute_acceleration", "base_shear"])
     with pytest.raises(ValueError, match=match):
-        plots.plot_response_bands(**({"result": found, "quantity": "absolute_acceleration"} | arguments))
+        plots.response(**({"result": found, "quantity": "absolute_acceleration"} | arguments))
 
 
 # --------------------------------------------------------------------------- the border
@@ -548,12 +560,14 @@ def test_forms_of_a_posterior(idata):
     for given in (idata, idata["posterior"], idata["posterior"].to_dataset()):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            found = pmf.posterior_response(given, chain, OTHER, "base_shear", draws=4)
+            found = pmf.prediction.posterior_response(given, chain, OTHER, "base_shear", draws=4)
         assert found.sizes["sample"] == 4
 
 
 def test_parameters_the_posterior_lacks_keep_their_default():
-    found = pmf.posterior_response(posterior(k=[[1.0]]), lambda k, damping=0.2: chain(k, damping), OTHER)
+    found = pmf.prediction.posterior_response(
+        posterior(k=[[1.0]]), lambda k, damping=0.2: chain(k, damping), OTHER
+    )
     exact = pmf.simulate(chain(1.0, 0.2), OTHER)
     assert peak_error(found["absolute_acceleration_mean"], exact) < 1e-13
 
@@ -597,16 +611,18 @@ REFUSED_TYPES = {
 
 
 @refusals("arguments", REFUSED_VALUES, REFUSED_TYPES)
-@pytest.mark.parametrize("function", [pmf.posterior_response, pmf.first_passage_probability])
+@pytest.mark.parametrize(
+    "function", [pmf.prediction.posterior_response, pmf.prediction.first_passage_probability]
+)
 def test_refusals(function, arguments, error, match):
     given = {"idata": posterior(k=[[0.5, 1.5]]), "structure": chain, "record": SHAKE} | arguments
-    if function is pmf.first_passage_probability:
+    if function is pmf.prediction.first_passage_probability:
         given |= {"limit": 0.1, "quantity": "absolute_acceleration"}
     with pytest.raises(error, match=match):
         function(**given)
 
 
-BANDS, RISK = pmf.posterior_response, pmf.first_passage_probability
+BANDS, RISK = pmf.prediction.posterior_response, pmf.prediction.first_passage_probability
 REFUSALS_OF_ONE = {  # what is said: what is given
     r"`quantities` must be of .*base_shear, got \['stress'\]": (BANDS, {"quantities": ["stress"]}),
     r"`quantities` must be of .*, got \[\]": (BANDS, {"quantities": []}),
@@ -637,11 +653,11 @@ def test_every_family_of_draws_is_asked():
         return (chain if k < 0.7 else bouc_wen if k < 1.5 else frame)(k)
 
     with pytest.raises(ValueError, match="for a LinearStructure, got 'inter_storey_drift'"):
-        pmf.posterior_response(posterior(k=[[0.5, 2.0]]), structure, SHAKE, "inter_storey_drift")
+        pmf.prediction.posterior_response(posterior(k=[[0.5, 2.0]]), structure, SHAKE, "inter_storey_drift")
     with pytest.raises(ValueError, match="`n_modes` must be left out for a nonlinear"):
-        pmf.posterior_response(posterior(k=[[0.5, 1.0]]), structure, SHAKE, n_modes=2)
+        pmf.prediction.posterior_response(posterior(k=[[0.5, 1.0]]), structure, SHAKE, n_modes=2)
     with pytest.raises(TypeError, match="`record` must be a Record for a HystereticChain"):
-        pmf.posterior_response(posterior(k=[[2.0, 1.0]]), structure, LOADS["forces"])
+        pmf.prediction.posterior_response(posterior(k=[[2.0, 1.0]]), structure, LOADS["forces"])
 
 
 def test_coupled_draws_are_told_from_classical_ones(idata):
@@ -654,4 +670,4 @@ def test_coupled_draws_are_told_from_classical_ones(idata):
     }
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        pmf.posterior_response(idata, two_supports, LOADS["two supports"], "base_shear", draws=2)
+        pmf.prediction.posterior_response(idata, two_supports, LOADS["two supports"], "base_shear", draws=2)

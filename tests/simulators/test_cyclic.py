@@ -5,20 +5,10 @@ import pytensor.tensor as pt
 import pytest
 
 from benchmarks.truth import cycles, specimen_force
-from pymc_features import (
-    CyclicTest,
-    Degradation,
-    HystereticSpecimen,
-    LinearStructure,
-    ModalDamping,
-    Pinching,
-    integration_error,
-    modes,
-    response,
-    simulate,
-)
+from pymc_features import LinearStructure, ModalDamping, modes, response, simulate
 from pymc_features.simulators.cyclic import NAMES, forces
 from pymc_features.simulators.oscillators.arguments import Excitation
+from pymc_features.structures import CyclicTest, Degradation, HystereticSpecimen, Pinching, integration_error
 from support.reference import richardson
 from support.refusals import refusals
 from support.straight import Record
@@ -119,7 +109,7 @@ def least_dissipation(law):
 
 @pytest.mark.parametrize(("gamma", "d_eta", "n"), [(0.5, 0.0, 2.0), (-0.3, 0.0, 3.0), (0.2, 1.9, 2.0)])
 def test_dissipation_where_theory_says_so(gamma, d_eta, n):
-    """Erlicher and Point's condition, and that of `HystereticSpecimen` for a loss of stiffness."""
+    """Erlicher and Point's condition, and that of `structures.HystereticSpecimen` for a loss of stiffness."""
     law = np.array([1e6, 0.01, 0.05, n, 1.0 - gamma, gamma, 0.03, d_eta, *[0.0] * 3, 1.0, 0.0, 1.0])
     assert least_dissipation(law) > -1e-4  # of the trapezoidal rule
     law[7] = 8.0

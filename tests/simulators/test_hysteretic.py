@@ -12,14 +12,13 @@ from pymc_features import (
     ModalDamping,
     RayleighDamping,
     SpringMassChain,
-    integration_error,
     response,
     simulate,
-    spring_forces,
 )
 from pymc_features.simulators import QUANTITIES, Excitation
 from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
+from pymc_features.structures import integration_error, spring_forces
 from support import straight
 from support import structures as records
 from support.kernels import flat_kernels

@@ -12,9 +12,9 @@ from pymc_features import (
     RayleighDamping,
     SpringMassChain,
     simulate,
-    spring_forces,
 )
 from pymc_features.simulators import HISTORIES
+from pymc_features.structures import spring_forces
 from support.refusals import refusals
 from support.straight import Loading
 from support.structures import noise_record, peak_error

@@ -104,7 +104,7 @@ def killed_when(condition, model, folder, settings, every=0.0002):
 def test_killed_five_times(tmp_path):
     function = InProcess()
     model = model_of(function)
-    settings = {"kernel": pmf.PopulationIMH}  # all batches are equally large
+    settings = {"kernel": pmf.sampling.PopulationIMH}  # all batches are equally large
     expected, _ = sample(model, checkpoint=tmp_path / "whole", **settings)  # also compiles, for the forked
     whole, most = size_of(tmp_path / "whole"), max(map(len, particles_in(tmp_path / "whole")))
     folder, function.path, function.seconds = tmp_path / "killed", tmp_path / "calls", 5e-4
@@ -138,7 +138,7 @@ def test_killed_with_an_external_simulator_and_a_cache(tmp_path):
                 time.sleep(0.02)
             return super().__call__(k)
 
-    settings = {"chains": 1, "kernel": pmf.PopulationIMH}
+    settings = {"chains": 1, "kernel": pmf.sampling.PopulationIMH}
     function, folder = Held(tmp_path / "calls", seconds=0.001), tmp_path / "checkpoint"
     allowed = tmp_path / "calls-allowed"
     cached = {"executor": 1, "cache": tmp_path / "cache.sqlite", "progress": False}
@@ -224,7 +224,7 @@ FOREIGN = {
     "random_seed=.5., chains=1": {"random_seed": 6},
     "chains=1": {"chains": 2},
     "of one with other: .*draws": {"draws": DRAWS + 1},
-    "of one with other: .*kernel": {"kernel": pmf.PopulationMH},
+    "of one with other: .*kernel": {"kernel": pmf.sampling.PopulationMH},
     "of one with other: stage_draws": {"stage_draws": 240},
     "of one with other: threshold": {"threshold": 0.4},
 }
@@ -278,10 +278,10 @@ def test_another_external_simulator_is_refused(tmp_path):
                 k = pm.Uniform("x", 0.5, 1.5, shape=1)
                 pmf.TruncNormalFeature("y", simulator(k[0]), 0.5, observed=DATA)
             if function is beam:
-                sample(model, pmf.PopulationIMH, checkpoint=tmp_path, chains=1, draws=20)
+                sample(model, pmf.sampling.PopulationIMH, checkpoint=tmp_path, chains=1, draws=20)
             else:
                 with pytest.raises(CheckpointError, match="of one with other: model"):
-                    sample(model, pmf.PopulationIMH, checkpoint=tmp_path, chains=1, draws=20)
+                    sample(model, pmf.sampling.PopulationIMH, checkpoint=tmp_path, chains=1, draws=20)
 
 
 def recorded(path):

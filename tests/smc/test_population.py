@@ -98,7 +98,8 @@ def stages(idata):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("build", "ours", "pymcs"), [(many_variables, pmf.PopulationIMH, IMH), (discrete, pmf.PopulationMH, MH)]
+    ("build", "ours", "pymcs"),
+    [(many_variables, pmf.sampling.PopulationIMH, IMH), (discrete, pmf.sampling.PopulationMH, MH)],
 )
 def test_same_particles_as_pymc(build, ours, pymcs):
     """Same seed, same draws and temperatures, whatever the variables are."""
@@ -106,7 +107,7 @@ def test_same_particles_as_pymc(build, ours, pymcs):
     one, other = sample(model, pymcs), sample(model, ours)
     assert_same(one, other, rtol=1e-12, atol=1e-12)
     assert len(stages(one)) > 1
-    rate = "accept_rate" if ours is pmf.PopulationIMH else "mean_accept_rate"
+    rate = "accept_rate" if ours is pmf.sampling.PopulationIMH else "mean_accept_rate"
     np.testing.assert_allclose(
         np.ravel(other.sample_stats[rate]), np.ravel(one.sample_stats[rate]), rtol=1e-12
     )
@@ -114,12 +115,12 @@ def test_same_particles_as_pymc(build, ours, pymcs):
 
 def test_data_of_another_length_need_no_new_evaluation():
     model = data()
-    before = pmf.PopulationIMH(60, model=model).logp
+    before = pmf.sampling.PopulationIMH(60, model=model).logp
     for values in ([2.0], np.linspace(0.0, 3.0, 50)):
         with model:
             pm.set_data({"measured": np.array(values)})
-        assert_same(sample(model, IMH), sample(model, pmf.PopulationIMH), rtol=1e-12, atol=1e-12)
-        assert pmf.PopulationIMH(60, model=model).logp is before
+        assert_same(sample(model, IMH), sample(model, pmf.sampling.PopulationIMH), rtol=1e-12, atol=1e-12)
+        assert pmf.sampling.PopulationIMH(60, model=model).logp is before
         assert pmf.PersistentSMC(60, model=model).logp is before
 
 
@@ -132,14 +133,14 @@ def test_a_changed_model_is_compiled_anew():
         "free": lambda: pm.Normal("y3"),
     }
     for what, change in changes.items():
-        before = pmf.PopulationIMH(60, model=model).logp
+        before = pmf.sampling.PopulationIMH(60, model=model).logp
         with model:
             change()
-        assert pmf.PopulationIMH(60, model=model).logp is not before, what
+        assert pmf.sampling.PopulationIMH(60, model=model).logp is not before, what
     exact = sample(model, IMH)
-    assert_same(exact, sample(model, pmf.PopulationIMH), rtol=1e-12, atol=1e-12)
+    assert_same(exact, sample(model, pmf.sampling.PopulationIMH), rtol=1e-12, atol=1e-12)
     with pytest.raises(AssertionError):
-        assert_same(exact, sample(model, pmf.PopulationIMH, random_seed=6), rtol=1e-3)
+        assert_same(exact, sample(model, pmf.sampling.PopulationIMH, random_seed=6), rtol=1e-3)
 
 
 @pytest.fixture(scope="module")

@@ -340,7 +340,7 @@ def test_a_forked_process_does_not_compile():
 
 def kernel_in(folder, model):
     """A kernel about to begin a chain, with a journal."""
-    kernel = pmf.PopulationIMH(8, model=model, random_seed=1, checkpoint=folder)
+    kernel = pmf.sampling.PopulationIMH(8, model=model, random_seed=1, checkpoint=folder)
     kernel._reset_state()
     kernel.set_rng(np.random.default_rng(1))
     return kernel

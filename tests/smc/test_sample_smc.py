@@ -34,7 +34,7 @@ def model():
 
 
 # seeds: chains differ in stages
-UNEQUAL = {IMH: 2, pmf.PopulationMH: 2, pmf.PersistentSMC: 0}
+UNEQUAL = {IMH: 2, pmf.sampling.PopulationMH: 2, pmf.PersistentSMC: 0}
 
 
 @pytest.mark.slow
@@ -110,7 +110,7 @@ def test_stages_report_what_they_did(kernel):
         while one.beta < 1:
             one.update_beta_and_weights()
             stages.append(one.step())
-        rate = "mean_accept_rate" if kernel is pmf.PopulationMH else "accept_rate"
+        rate = "mean_accept_rate" if kernel is pmf.sampling.PopulationMH else "accept_rate"
         for stage in stages:
             assert set(stage) == set(kernel.stats_dtypes_shapes)
             assert all(stage[name] > 0 for name in ("n_steps", "seconds", "evaluations", rate))
@@ -121,7 +121,7 @@ def test_stages_report_what_they_did(kernel):
         assert np.isfinite(stages[-1]["log_marginal_likelihood"])
         n_steps = np.array([stage["n_steps"] for stage in stages])
         evaluations = np.array([stage["evaluations"] for stage in stages])
-        if kernel in (pmf.PopulationIMH, pmf.PopulationMH):
+        if kernel in (pmf.sampling.PopulationIMH, pmf.sampling.PopulationMH):
             np.testing.assert_array_equal(evaluations, 60 * (n_steps + (np.arange(len(stages)) == 0)))
         elif kernel is pmf.TMCMC:
             np.testing.assert_array_equal(evaluations, 60 * (1 + (np.arange(len(stages)) == 0)))
@@ -132,10 +132,10 @@ def test_stages_report_what_they_did(kernel):
     ("kernel", "settings", "match"),
     [
         (pmf.TMCMC, {"draws": 1}, "`draws` must be an integer of at least 2, got 1"),
-        (pmf.PopulationMH, {"draws": 2.5}, "`draws` must be an integer of at least 2, got 2.5"),
+        (pmf.sampling.PopulationMH, {"draws": 2.5}, "`draws` must be an integer of at least 2, got 2.5"),
         (pmf.PersistentSMC, {"draws": True}, "`draws` must be an integer of at least 2, got True"),
-        (pmf.PopulationMH, {"threshold": 0.0}, "`threshold` must lie between 0 and 1, got 0.0"),
-        (pmf.PopulationIMH, {"threshold": 1.0}, "`threshold` must lie between 0 and 1, got 1.0"),
+        (pmf.sampling.PopulationMH, {"threshold": 0.0}, "`threshold` must lie between 0 and 1, got 0.0"),
+        (pmf.sampling.PopulationIMH, {"threshold": 1.0}, "`threshold` must lie between 0 and 1, got 1.0"),
         (pmf.PersistentSMC, {"threshold": np.nan}, "`threshold` must lie between 0 and 1, got nan"),
         (pmf.PersistentSMC, {"stage_draws": 19}, "`stage_draws` must be an integer of at least 20, got 19"),
         (pmf.TMCMC, {"scale": 0.0}, "`scale` must be positive, got 0.0. Leave it out for the source's"),
@@ -216,9 +216,9 @@ def test_a_plain_simulator_is_called_for_each_particle():
     with pytest.warns(
         PopulationWarning, match="takes one set of parameters at a time.*batched = True"
     ) as caught:
-        kernel = pmf.PopulationIMH(50, model=model)
+        kernel = pmf.sampling.PopulationIMH(50, model=model)
         pmf.PersistentSMC(50, model=model)
-        pmf.sample_smc(50, pmf.PopulationMH, model=model, chains=1, **SERIAL)
+        pmf.sample_smc(50, pmf.sampling.PopulationMH, model=model, chains=1, **SERIAL)
     assert sum(issubclass(w.category, PopulationWarning) for w in caught) == 1
     assert not kernel.logp.batched
 
@@ -233,7 +233,7 @@ def test_a_marked_simulator_is_called_for_all(build, function):
         warnings.simplefilter("error", PopulationWarning)
         model = build(marked(function))
         found = pmf.sample_smc(50, model=model, chains=2, random_seed=1, **SERIAL)
-    assert pmf.PopulationIMH(50, model=model).logp.batched
+    assert pmf.sampling.PopulationIMH(50, model=model).logp.batched
     xr.testing.assert_allclose(found["posterior"].dataset, expected["posterior"].dataset, rtol=1e-9)
 
 
@@ -273,7 +273,7 @@ def test_linear_algebra_takes_one_thread(monkeypatch):
     with threadpool_limits(2, "blas"):
         before = threads_of_blas()
         pmf.sample_smc(
-            20, pmf.PopulationIMH, model=simulator(marked(draws)), chains=1, random_seed=1, **SERIAL
+            20, pmf.sampling.PopulationIMH, model=simulator(marked(draws)), chains=1, random_seed=1, **SERIAL
         )
         assert threads_of_blas() == before
     assert before == {2} and {(frozenset(n), *rest) for n, *rest in seen} == {(frozenset({1}), "1", "1")}

@@ -8,7 +8,8 @@ import pytensor.tensor as pt
 import pytest
 from scipy import stats
 
-from pymc_features import TMCMC, PersistentSMC, PopulationIMH, PopulationMH
+from pymc_features import TMCMC, PersistentSMC
+from pymc_features.sampling import PopulationIMH, PopulationMH
 from pymc_features.smc import KERNELS
 from support.sampling import log_add, mean_within_errors, run_chain
 

@@ -11,7 +11,8 @@ import pytest
 from pymc.smc.sampling import _build_trace_from_kernel_state as draw_by_draw
 from pytensor.compile.executor import Function
 
-from pymc_features import PopulationIMH, TruncNormalFeature, paper, response, sample_smc
+from pymc_features import TruncNormalFeature, paper, response, sample_smc
+from pymc_features.sampling import PopulationIMH
 from pymc_features.smc.trace import all_draws_at_once
 from support.structures import noise_record
 

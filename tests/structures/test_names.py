@@ -37,7 +37,9 @@ def test_predictions_have_the_names():
     """Also where a base shear, which has no sensors, is predicted with them."""
     posterior = xr.Dataset({"stiffness": (("chain", "draw"), [[1.0, 1.0, 1.0]])})
     quantities = ["base_shear", "relative_displacement"]
-    bands = pmf.posterior_response(posterior, frame, RECORD, quantities, sensors=["roof:x"], draws=3)
+    bands = pmf.prediction.posterior_response(
+        posterior, frame, RECORD, quantities, sensors=["roof:x"], draws=3
+    )
     assert bands["sensor"].values.tolist() == ["roof:x"]
     expected = simulate(frame(), RECORD, sensors=[2], quantity="relative_displacement").values
     found = bands["relative_displacement"].sel(quantile=0.5)

@@ -11,10 +11,19 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_features import abc_tolerance, cli, sampling_rate_study
+from pymc_features import cli
+from pymc_features.likelihoods import abc_tolerance
 from pymc_features.simulators import simulate
 from pymc_features.storage import PartStore
-from pymc_features.study import STRUCTURES, as_csv, as_markdown, find_structure, paper, yielding
+from pymc_features.study import (
+    STRUCTURES,
+    as_csv,
+    as_markdown,
+    find_structure,
+    paper,
+    sampling_rate_study,
+    yielding,
+)
 from pymc_features.study import sampling_rate as study_module
 from pymc_features.study.settings import Study
 from pymc_features.study.structures import bouc_wen_chain

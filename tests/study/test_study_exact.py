@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import linalg, stats
 
-from pymc_features import abc_tolerance, simulate
-from pymc_features.likelihoods import LIKELIHOODS
+from pymc_features import simulate
+from pymc_features.likelihoods import LIKELIHOODS, abc_tolerance
 from pymc_features.study import STRUCTURES, find_structure, paper
 from pymc_features.study.exact import (
     OWN_POSTERIORS,

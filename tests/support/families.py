@@ -7,17 +7,14 @@ from scipy import sparse
 
 from pymc_features import (
     AffineStructure,
-    CyclicTest,
-    Degradation,
     DuffingChain,
     HystereticChain,
-    HystereticSpecimen,
     ModalDamping,
-    Pinching,
     RayleighDamping,
     SpringMassChain,
     simulate,
 )
+from pymc_features.structures import CyclicTest, Degradation, HystereticSpecimen, Pinching
 from support.straight import Loading, Record
 
 RAYLEIGH = RayleighDamping(0.4, 2e-3)

@@ -4,7 +4,7 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 
-from pymc_features import PopulationIMH
+from pymc_features.sampling import PopulationIMH
 
 
 def discrete():

@@ -178,6 +178,6 @@ def test_convert(tmp_path, capsys):
     assert main(["convert", str(source), str(target)]) == 2
     assert "si.csv is there. Pass --force" in capsys.readouterr().err.replace("\n", " ")
     modes = tmp_path / "modes.json"
-    pmf.write_modal(pmf.ModalData([1.0, 2.5], [[1.0], [0.5]], ["roof"]), modes)
+    pmf.modal.write_modal(pmf.modal.ModalData([1.0, 2.5], [[1.0], [0.5]], ["roof"]), modes)
     assert main(["convert", str(modes), str(tmp_path / "modes.csv")]) == 0
     assert pmf.read_modal(tmp_path / "modes.csv").channels == ("roof",)

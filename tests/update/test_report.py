@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_features import cli, mac
+from pymc_features import cli
+from pymc_features.modal import mac
 from pymc_features.update.report import payload as payload_module
 from pymc_features.update.report.page import page_of, write_page
 from pymc_features.update.report.payload import (

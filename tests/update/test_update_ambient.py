@@ -192,7 +192,7 @@ def test_model_is_the_one_declared_by_hand(path):
     with pm.Model() as by_hand:
         free = {name: pm.LogNormal(name, *FREE[name]) for name in FREE}
         structure = building(free["k1"], free["k2"], free["zeta"])
-        response = pmf.spectral_response(structure, free["wind"])
+        response = pmf.ambient.spectral_response(structure, free["wind"])
         given = {"bands": problem.first.bands, "dt": STEP, "observed": problem.first.channels.values}
         pmf.AmbientResponse("y", response, error=free["noise"], **given)
     found, expected = (m.compile_logp(mode="FAST_COMPILE") for m in (model, by_hand))

@@ -44,16 +44,16 @@ draws = 300
 
 def write(folder, text=TEXT):
     """A table of a specimen with the values `TRUE`, errors of 4 kN, and the configuration."""
-    specimen = pmf.HystereticSpecimen(
+    specimen = pmf.structures.HystereticSpecimen(
         TRUE["k"],
         yield_displacement=TRUE["d_y"],
         post_yield_ratio=0.05,
-        degradation=pmf.Degradation(stiffness=0.03),
-        pinching=pmf.Pinching(TRUE["slip"], spread=0.3),
+        degradation=pmf.structures.Degradation(stiffness=0.03),
+        pinching=pmf.structures.Pinching(TRUE["slip"], spread=0.3),
     )
     ways = np.arange(121) / 12
     displacement = 0.008 * np.interp(ways, range(11), [0, 1, -1, 2, -2, 3, -3, 4, -4, 4, -4])
-    force = pmf.simulate(specimen, pmf.CyclicTest(displacement)).values[0]
+    force = pmf.simulate(specimen, pmf.structures.CyclicTest(displacement)).values[0]
     force += 4e3 * np.random.default_rng(1).standard_normal(force.size)
     np.savetxt(folder / "wall.csv", np.column_stack([1e3 * displacement, 1e-3 * force]), delimiter=",")
     (folder / "update.toml").write_text(text)

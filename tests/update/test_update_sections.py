@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_features import cli, posterior_response
+from pymc_features import cli
 from pymc_features.exceptions import ConfigError, StudyMismatchError
+from pymc_features.prediction import posterior_response
 from pymc_features.storage import PartStore, held
 from pymc_features.update import read_problem, sampling, write_example
 from pymc_features.update.comparisons import candidates_of

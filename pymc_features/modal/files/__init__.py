@@ -101,7 +101,7 @@ def read_modal(
         return modal_data(from_variables(source, "`source`", asked), channels, real)
     raise TypeError(
         f"`source` must be a path, a mapping of arrays or a result of pyOMA2, got {type(source).__name__}. "
-        "Make a `ModalData` of arrays."
+        "Make a `modal.ModalData` of arrays."
     )
 
 

@@ -122,7 +122,7 @@ def with_damping(raw):
 class StructureOf:
     """Values of the priors, by name, to a structure: random variables in a model, numbers of one draw.
 
-    Its signature lists the names of the priors, so that `posterior_response` finds them.
+    Its signature lists the names of the priors, so that `prediction.posterior_response` finds them.
 
     Parameters
     ----------

@@ -259,7 +259,7 @@ class Ambient(KindOfData):
     def draw(self, fitted=None):
         """Figure of the singular values, perhaps with those of the fitted model."""
         identified = None if self.modes is None else self.modes.data.frequencies
-        return plots.plot_singular_values(self.channels, self.bands, frequencies=identified, fitted=fitted)
+        return plots.singular_values(self.channels, self.bands, frequencies=identified, fitted=fitted)
 
     def told(self):
         """Say where the channels come from, and which modes they have."""

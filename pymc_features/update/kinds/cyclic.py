@@ -117,7 +117,7 @@ class Cyclic(Histories):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PredictionWarning)  # priors may reach beyond what a specimen is
             found = posterior_response(expected, problem.structure, record, self.quantity, **draws)
-        wrote = drawn_to(path, lambda: plots.plot_loops(found, measured=force))
+        wrote = drawn_to(path, lambda: plots.loops(found, measured=force))
         low, *_, high = found[self.quantity].transpose("quantile", "sensor", "time").values
         share = float(np.mean((force.values >= low) & (force.values <= high)))
         yield f"{100.0 * share:.0f} % of the measured forces lie within what the priors expect (5 to 95 %)"
@@ -147,7 +147,7 @@ class Cyclic(Histories):
                 f"{kind}: force against displacement in three parts of the test. Dashed what was measured; "
                 "blue the 5-95 % interval and the median of the specimen, from the uncertainty of the "
                 "parameters.",
-                lambda: plots.plot_loops(found, measured=force),
+                lambda: plots.loops(found, measured=force),
             )
         ]
 

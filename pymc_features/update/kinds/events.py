@@ -260,7 +260,7 @@ class Events(Responses):
         units = {name: problem.unit(name) for name in problem.priors}
 
         def draw():
-            axes = plots.plot_sequence(part)
+            axes = plots.sequence(part)
             for ax in axes:
                 ax.set_ylabel(f"{ax.get_ylabel()} [{units.get(ax.get_ylabel(), '-')}]")
             return axes

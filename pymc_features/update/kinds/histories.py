@@ -273,12 +273,12 @@ class Histories(KindOfData):
             Figure(
                 f"{kind}_response",
                 f"{kind}: measured response and posterior predictive bands. {shades} {LONG}",
-                lambda: plots.plot_predictive(part),
+                lambda: plots.predictive(part),
             ),
             Figure(
                 f"{kind}_response_zoom",
                 f"{kind}: the same, {ZOOM:g} s around the strongest motion.",
-                lambda: plots.plot_predictive(part, window=strongest(part)),
+                lambda: plots.predictive(part, window=strongest(part)),
             ),
         ]
 

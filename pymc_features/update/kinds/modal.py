@@ -314,7 +314,7 @@ class Modal(KindOfData):
         return {"matched": self.matched(problem, idata["posterior"].to_dataset())}
 
     def matched(self, problem, posterior: xr.Dataset, **limits) -> xr.Dataset:
-        """Which mode of the model each is matched with, of some draws; see `match_modes`.
+        """Which mode of the model each is matched with, of some draws; see `modal.match_modes`.
 
         The dimension is `identified`, with the numbers of the modes in their file, and what each is called as
         `label`; `partner` is that of each in most draws, 0 if it has none. `limits` are those of partners.
@@ -423,7 +423,7 @@ class Modal(KindOfData):
                 f"{kind}_mac",
                 f"{kind}: modal assurance criterion of the identified shapes and those of the model, "
                 "median and 5-95 % interval of the draws. Framed: the modes that are matched.",
-                lambda: plots.plot_mac(self.data, shapes[..., at], frequencies, partners=partners),
+                lambda: plots.mac(self.data, shapes[..., at], frequencies, partners=partners),
             )
         ]
         if self.is_drawn(problem):
@@ -433,7 +433,7 @@ class Modal(KindOfData):
                     f"{kind}_shapes",
                     f"{kind}: identified shapes (dots) on those of the model they are matched with, each "
                     "draw scaled by the factor that brings it closest.",
-                    lambda: plots.plot_mode_shapes(self.data, shapes, frequencies, **places),
+                    lambda: plots.mode_shapes(self.data, shapes, frequencies, **places),
                 )
             )
         return found

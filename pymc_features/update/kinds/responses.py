@@ -244,14 +244,14 @@ class Responses(Histories):
             Figure(
                 "record",
                 "Motion of the base that the model is shaken with, after processing.",
-                lambda: plots.plot_record(result),
+                lambda: plots.record(result),
             ),
             Figure(
                 "frequencies",
                 "Gain of the sensors against the base (root of the ratio of power spectra), and below it the "
                 "5-95 % intervals of the natural frequencies with their medians under each likelihood. "
                 "Dotted: peaks of the gain; dashed: frequencies given in the configuration, or identified.",
-                lambda: plots.plot_natural_frequencies(result),
+                lambda: plots.natural_frequencies(result),
             ),
         ]
 

@@ -22,7 +22,7 @@ class Points(NamedTuple):
     """What is drawn of a shape."""
 
     dofs: np.ndarray  # (p,) degree of freedom of each point, -1 of one that is held
-    nodes: dict | None  # as `plot_mode_shapes` takes it; None for the storeys of a chain
+    nodes: dict | None  # as `plots.mode_shapes` takes it; None for the storeys of a chain
 
     def entries(self, shapes: np.ndarray) -> np.ndarray:
         """Take the points (..., p) of shapes (..., n_dof), zero where they are held."""

@@ -58,7 +58,7 @@ def figures(problem: Problem, result) -> list[Figure]:
             Figure(
                 f"{kind}_prior_posterior",
                 f"{kind}: prior (grey) against posterior, each to its own height.",
-                lambda part=part: plots.plot_prior_posterior(part, units=units),
+                lambda part=part: plots.prior_posterior(part, units=units),
             )
         )
         found += [figure for data in problem.data for figure in data.figures_of(problem, part, kind)]
@@ -74,13 +74,13 @@ def of_run(part, kind) -> list[Figure]:
             f"{kind}: the way from the prior, or from the first guess at the modes, to the posterior, and "
             "the acceptance of its moves."
         )
-        found.append(Figure(f"{kind}_stages", words, lambda: plots.plot_tempering(part)))
+        found.append(Figure(f"{kind}_stages", words, lambda: plots.tempering(part)))
     if part["posterior"].sizes["chain"] > 1:
         words = (
             f"{kind}: density of each chain, and ranks of its draws; the curves of chains that agree stay "
             "near the middle (p: of a test that they do)."
         )
-        found.append(Figure(f"{kind}_ranks", words, lambda: plots.plot_chains(part, "rank")))
+        found.append(Figure(f"{kind}_ranks", words, lambda: plots.chains(part, "rank")))
     if part.attrs["method"] == "NUTS":
-        found.append(Figure(f"{kind}_traces", f"{kind}: traces.", lambda: plots.plot_chains(part, "trace")))
+        found.append(Figure(f"{kind}_traces", f"{kind}: traces.", lambda: plots.chains(part, "trace")))
     return found

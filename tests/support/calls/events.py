@@ -40,7 +40,7 @@ CALLS = {
         more={"models": {name: {"a": SAMPLED, "b": tree} for name, tree in ODD_TREES.items()}},
     ),
     "sample_in_sequence": Call(
-        pmf.sample_in_sequence,
+        pmf.events.sample_in_sequence,
         {
             "events": [MODEL, MODEL],
             "model": None,

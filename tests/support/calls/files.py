@@ -120,7 +120,7 @@ CALLS = {
     ),
     "read_channels": reader(pmf.read_channels),
     "write_channels": Call(
-        elsewhere(pmf.write_channels, FOLDER.name),
+        elsewhere(pmf.io.write_channels, FOLDER.name),
         {"channels": MEASURED, "path": Path(FOLDER.name) / "written.csv"},
         {"channels": SEVERAL - {"channels without names"}},
         more=MORE,

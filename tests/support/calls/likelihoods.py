@@ -32,7 +32,7 @@ def simulate(theta):
 
 
 CHAIN = pmf.SpringMassChain([1.0, 1.0], [9.0, 9.0], pmf.ModalDamping(0.02))
-RESPONSE = pmf.spectral_response(CHAIN, 1.0)
+RESPONSE = pmf.ambient.spectral_response(CHAIN, 1.0)
 
 CALLS = {
     "AmbientResponse": Call(
@@ -85,7 +85,7 @@ CALLS = {
         coords=COORDS,
     ),
     "abc_tolerance": Call(
-        pmf.abc_tolerance,
+        pmf.likelihoods.abc_tolerance,
         {"sigma": 1.0, "n_sensors": 2},
         {"sigma": POSITIVE | NUMERIC - {"DataArray"}},
     ),

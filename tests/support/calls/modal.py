@@ -14,7 +14,7 @@ from support.odd_values import NUMBERS, PAIR, POSITIVE, TEXTS
 TABLE = Path(FOLDER.name) / "modes.csv"
 TABLE.write_text("omega [rad/s],damping [%],roof\n6.2832,1.2,1.0\n18.85,0.9,-0.5\n")
 SHAPES = [[0.6, 1.0], [1.0, -0.5]]
-MODAL = pmf.ModalData([1.2, 3.5], SHAPES, ["floor", "roof"])
+MODAL = pmf.modal.ModalData([1.2, 3.5], SHAPES, ["floor", "roof"])
 MODES = (np.array([1.2, 3.5, 5.0]), np.array([*SHAPES, [1.0, 1.0]]))
 with pm.Model() as MODEL:
     pmf.ModalFeature("y", (pm.LogNormal("f", shape=3), MODES[1]), observed=MODAL, sigma_f=0.1, sigma_phi=0.1)
@@ -34,7 +34,7 @@ CALLS = {
         more={"channels": ODD_CHANNELS},
     ),
     "ModalData": Call(
-        pmf.ModalData,
+        pmf.modal.ModalData,
         {
             "frequencies": [1.2, 3.5],
             "shapes": SHAPES,
@@ -59,7 +59,7 @@ CALLS = {
         {"shapes": ["channels"], "channels": ["shapes"]},
     ),
     "match_modes": Call(
-        pmf.match_modes,
+        pmf.modal.match_modes,
         {"posterior": None, "name": None, "model": MODEL, "deviations": 3.0, "least_mac": 0.5},
         {
             "posterior": {"None"},

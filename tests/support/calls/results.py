@@ -31,7 +31,7 @@ def double(x):
 
 def figure(name, **arguments):
     """A call of a function that draws, up to where it makes the axes."""
-    function = getattr(pmf, f"plot_{name}")
+    function = getattr(pmf.plots, name)
     return Call(
         function,
         arguments,
@@ -101,7 +101,7 @@ STUDY = {
 
 CALLS = {
     "posterior_response": Call(
-        pmf.posterior_response,
+        pmf.prediction.posterior_response,
         {**PREDICT, "quantities": "relative_velocity", "quantiles": [0.5]},
         {
             **OF_PREDICTION,
@@ -110,7 +110,7 @@ CALLS = {
         more={"idata": ODD_TREES},
     ),
     "sampling_rate_study": Call(
-        pmf.sampling_rate_study,
+        pmf.study.sampling_rate_study,
         STUDY,
         {
             "noise": POSITIVE,
@@ -168,8 +168,6 @@ CALLS = {
             "files": {"[]"},
         },
     ),
-    "plot_chains": figure("chains", idata=PLAIN, kind="rank", var_names=None, backend="matplotlib"),
-    "plot_response_bands": figure(
-        "response_bands", result=BANDS, quantity="response", sensors=None, measured=None
-    ),
+    "plots.chains": figure("chains", idata=PLAIN, kind="rank", var_names=None, backend="matplotlib"),
+    "plots.response": figure("response", result=BANDS, quantity="response", sensors=None, measured=None),
 }

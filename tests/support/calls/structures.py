@@ -73,7 +73,7 @@ CALLS = {
         },
     ),
     "Pinching": Call(
-        pmf.Pinching,
+        pmf.structures.Pinching,
         {"slip": 0.5, "rate": 1.0, "initiation": 0.1, "spread": 0.2, "spread_rate": 0.0, "severity": 0.3},
         {name: NOT_NEGATIVE | SCALARS for name in ("rate", "initiation", "spread_rate")}
         | {name: POSITIVE | SCALARS for name in ("spread", "severity")}

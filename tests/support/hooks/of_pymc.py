@@ -138,7 +138,7 @@ def smc_kernels():
     """Every attribute that methods of PyMC's kernels read is there, without their `__init__`."""
     from pymc.smc.kernels import IMH, MH, SMC_KERNEL
 
-    for theirs, ours in ((IMH, pmf.PopulationIMH), (MH, pmf.PopulationMH)):
+    for theirs, ours in ((IMH, pmf.sampling.PopulationIMH), (MH, pmf.sampling.PopulationMH)):
         made = kernel(ours)
         methods = {name: getattr(ours, name) for base in (SMC_KERNEL, theirs) for name in vars(base)}
         inherited = [

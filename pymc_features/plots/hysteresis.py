@@ -14,7 +14,7 @@ PARTS = 3  # of a cyclic test, side by side: loops lie on loops
 
 
 @figure("One for each spring, or for each of the three parts")
-def plot_loops(
+def loops(
     result: xr.DataTree | xr.Dataset,
     springs: int | Sequence[int] | None = None,
     axes: AxesLike = None,
@@ -30,12 +30,12 @@ def plot_loops(
     ----------
     result : DataTree or Dataset
         From `sampling_rate_study`, of a structure whose springs can yield; or from `posterior_response`, of a
-        `HystereticSpecimen`.
+        `structures.HystereticSpecimen`.
     springs : int or sequence of int, optional
         Springs to draw, 0 next to the base; by default the three whose peak drift is the largest multiple of
         their yield displacement, the largest first.
     measured : DataArray or array_like (sensor, time) or (time,), optional
-        Measured force [N] of a specimen, as of `read_cyclic_test`.
+        Measured force [N] of a specimen, as of `io.read_cyclic_test`.
     """
     if isinstance(result, xr.Dataset):
         if springs is not None:
