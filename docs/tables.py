@@ -9,6 +9,7 @@ import json
 import re
 from pathlib import Path
 
+import pymc_features
 from pymc_features.ambient import AmbientResponse
 from pymc_features.inference import sample
 from pymc_features.io import FORMATS
@@ -34,13 +35,22 @@ def first_sentence(member) -> str:
     return re.split(r"(?<=[.])\s+(?=[A-Z])", paragraph)[0].rstrip(".").replace("|", r"\|")
 
 
+def called(member) -> str:
+    """How a member is called in `pymc_features`: by its name, or in the submodule that has it."""
+    name = member.__name__
+    if name in pymc_features.__all__:
+        return name
+    modules = (m for m in pymc_features.__all__ if inspect.ismodule(getattr(pymc_features, m)))
+    return next(f"{m}.{name}" for m in modules if name in dir(getattr(pymc_features, m)))
+
+
 def table(name: str) -> str:
     """One table in Markdown."""
     heading, members = TABLES[name]
     rows = [f"| {heading} | what it is |", "|---|---|"]
     for member in members:
         path = "/".join(member.__module__.split(".")) + ".py"
-        rows.append(f"| [`{member.__name__}`]({path}) | {first_sentence(member)} |")
+        rows.append(f"| [`{called(member)}`]({path}) | {first_sentence(member)} |")
     return "\n".join(rows) + "\n"
 
 

@@ -447,7 +447,7 @@ def log_mean(x) -> float:
 def sequence_of(idata, model) -> xr.Dataset:
     """What is on record of the events before; of the first one its evidence."""
     if "sequence" in idata.children:
-        return check_group(idata, "idata", "sequence", "Pass what continue_with() returned.", "event")
+        return check_group(idata, "idata", "sequence", "Pass what events.continue_with() returned.", "event")
     evidence = evidence_of(idata)
     scores = {
         "log_score": evidence.value,

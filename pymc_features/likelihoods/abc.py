@@ -309,7 +309,7 @@ def _tolerance(epsilon, n_sensors, kind="sensors"):
     if any(isinstance(node.op, RandomVariable | SymbolicRandomVariable) for node in owners):
         raise TypeError(
             f"`epsilon` must be a number, an array or pm.Data, got the random variable {tensor}. Look at "
-            "several tolerances with tolerance_sweep()."
+            "several tolerances with sampling.tolerance_sweep()."
         )
     return tensor
 

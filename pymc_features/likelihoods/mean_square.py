@@ -436,7 +436,7 @@ def unfilled_degrees(name, observed, dims) -> TensorVariable:
     data = pm.Data(f"{name}_m", np.zeros(shape[:-1]), dims=labels)
     message = (
         f"`m` of {name} must be taken from the residuals before anything else, got no values. Call "
-        "fill_degrees() in the model's context, and again when data have changed."
+        "calibration.fill_degrees() in the model's context, and again when data have changed."
     )
     return RequireDegrees(ValueError, message)(data, pt.all(data > 0))
 

@@ -424,7 +424,7 @@ def warn_at_start(rv):
         )
         warn_caller(
             f"the shapes of these modes of {rv.name} have no partner at the model's initial point: {listed}. "
-            "Ask `modes` for more modes, and look at the order of the sensors; `match_modes` tells of a "
+            "Ask `modes` for more modes, look at the order of the sensors; `modal.match_modes` tells of a "
             "posterior.",
             ModalMatchWarning,
         )

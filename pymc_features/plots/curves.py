@@ -20,7 +20,7 @@ from pymc_features.plots.axes import (
 )
 from pymc_features.plots.histories import share_of
 
-STUDY = "Pass what sampling_rate_study() returned."
+STUDY = "Pass what study.sampling_rate_study() returned."
 DIMS = ("likelihood", "multiplier", "parameter")
 LABELS = {
     "theta": "stiffness factor θ [-]",
@@ -153,7 +153,7 @@ def tolerance(result: xr.Dataset, axes: AxesLike = None) -> np.ndarray:
     result : Dataset
         From `sampling.tolerance_sweep`.
     """
-    check_dataset(result, "result", "what tolerance_sweep() returned")
+    check_dataset(result, "result", "what sampling.tolerance_sweep() returned")
     scalars = (name for name, values in result.data_vars.items() if values.dims == ("epsilon", "quantile"))
     names = [name for name in scalars if name not in STATISTICS]
     if not names:
@@ -182,7 +182,7 @@ def sequence(
     parameters : sequence of str, optional
         Which to draw; all by default.
     """
-    advice = "Pass what continue_with() returned."
+    advice = "Pass what events.continue_with() returned."
     record = check_group(idata, "idata", "sequence", advice, "event", "parameter")
     names = chosen_among(parameters, "parameters", [str(name) for name in record["parameter"].values])
     axes = checked_axes(axes, len(names), "parameters", figsize=(7.5, 0.6 + 1.8 * len(names)))

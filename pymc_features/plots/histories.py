@@ -191,7 +191,7 @@ def response(
         Measured response with its own sensors and times, which may be fewer; or an array for the sensors
         drawn and the times of the result. For the base shear (time).
     """
-    check_dataset(result, "result", "what posterior_response() returned")
+    check_dataset(result, "result", "what prediction.posterior_response() returned")
     known = [str(name) for name, v in result.data_vars.items() if "quantile" in v.dims]
     check_choice(quantity, "quantity", known)
     bands, dim, chosen = rows(result[quantity], sensors)

@@ -44,7 +44,7 @@ def loops(
     if measured is not None:
         raise ValueError("`measured` must be left out for a study, got it. Its loops are simulated.")
     if not isinstance(result, xr.DataTree):
-        advice = "Pass what sampling_rate_study() returned."
+        advice = "Pass what study.sampling_rate_study() returned."
         raise TypeError(message("result", "a DataTree or Dataset", shown(result), advice))
     if "loops" not in result.children:
         raise ValueError(

@@ -187,7 +187,8 @@ class HystereticSpecimen(Structure):
 
     Examples
     --------
-    >>> from pymc_features import CyclicTest, simulate
+    >>> from pymc_features import simulate
+    >>> from pymc_features.records import CyclicTest
     >>> specimen = HystereticSpecimen(2e6, yield_displacement=0.01, post_yield_ratio=0.0, sharpness=1.0)
     >>> force = simulate(specimen, CyclicTest([0.0, 0.01, 0.02]))
     >>> (force.values[0] / 2e4).round(6)  # 1 - exp(-d / d_y)

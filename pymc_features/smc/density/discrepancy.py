@@ -46,7 +46,7 @@ class SimulatorNode:
         if self.model.free_RVs and set(self.model.free_RVs) & set(ancestors([self.op.epsilon])):
             raise TypeError(
                 f"`epsilon` of {self.rv.name} must be a number, an array or pm.Data, got one that depends on "
-                "random variables. Look at several tolerances with tolerance_sweep()."
+                "random variables. Look at several tolerances with sampling.tolerance_sweep()."
             )
         self.hard = getattr(self.distance, "hard", False)
 
