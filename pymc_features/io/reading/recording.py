@@ -175,7 +175,7 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
         raise ValueError(
             f"{file}, {channel.name}: no samples may be missing, {missing.sum()} are, the first after "
             f"{dt * missing.argmax():.6g} s ({values[missing.argmax()]}). Cut the file to one side, or use "
-            "`read_channels_with_gaps`."
+            "`io.read_channels_with_gaps`."
         )
     if values.size < 2:
         raise ValueError(f"{file}, {channel.name}: at least 2 samples must be there, got {values.size}.")
