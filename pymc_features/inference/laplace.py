@@ -6,13 +6,17 @@ from collections.abc import Callable
 import numpy as np
 import pymc as pm
 import xarray as xr
-from pymc.backends.arviz import coords_and_dims_for_inferencedata
-from pymc.initial_point import make_initial_point_fn
 from pymc.util import RandomState
 
 from pymc_features._checks import check_integer, check_mapping, check_model, check_seed
 from pymc_features.exceptions import LaplaceWarning
-from pymc_features.inference.parameters import Unconstrained, check_continuous, entry_names, initial_values
+from pymc_features.inference.parameters import (
+    Unconstrained,
+    check_continuous,
+    entry_names,
+    forward_transform,
+    initial_values,
+)
 from pymc_features.smc import find_reference, likelihood_kinds, population_logp, prior_points
 from pymc_features.smc.proposals.ascent import climb, curvature
 
@@ -165,7 +169,7 @@ def laplace(
     if start is None:
         found = modes_from_prior(model, logp, draws, rng)
     else:
-        found = modes_from(logp, starting_point(model, space, start))
+        found = modes_from(logp, starting_point(model, start))
     if not found:
         raise ValueError(
             "the posterior must have a maximum with positive curvature, found none from "
@@ -213,9 +217,9 @@ def modes_from(logp, x):
     return [] if mode is None else [mode]
 
 
-def starting_point(model, space, start):
+def starting_point(model, start):
     """The flat point (d,) of values of all free parameters on their own scale."""
-    return space.join(make_initial_point_fn(model=model, overrides=start)(0))
+    return forward_transform(model)(*(start[rv.name].astype(rv.dtype) for rv in model.free_RVs))
 
 
 def draw_mixture(modes, evidences, n, rng):
@@ -242,7 +246,7 @@ def tree(model, space, particles, modes, evidences, log_ratios):
     """The result as a DataTree."""
     import arviz as az  # slow to import
 
-    coords, dims = coords_and_dims_for_inferencedata(model)
+    coords = {name: np.array(values) for name, values in model.coords.items() if values is not None}
     ratios = np.exp(log_ratios - log_ratios.max())
     n = len(ratios)
     efficiency = float(ratios.sum() ** 2 / (ratios**2).sum() / n)
@@ -263,7 +267,9 @@ def tree(model, space, particles, modes, evidences, log_ratios):
         "efficiency": [efficiency],
         "largest_error": [error],
     }
-    result = az.from_dict({"posterior": {k: v[None] for k, v in values.items()}}, coords=coords, dims=dims)
+    result = az.from_dict(
+        {"posterior": {k: v[None] for k, v in values.items()}}, coords=coords, dims=model.named_vars_to_dims
+    )
     result["sample_stats"] = xr.DataTree(
         xr.Dataset(
             {k: ("chain", np.array(v)) for k, v in stats.items()},

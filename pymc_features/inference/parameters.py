@@ -6,7 +6,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import pytensor.tensor as pt
 import xarray as xr
-from pymc.backends.arviz import coords_and_dims_for_inferencedata
 from pymc.initial_point import make_initial_point_expression
 from pymc.pytensorf import compile as compile_function
 from pymc.vartypes import discrete_types
@@ -157,7 +156,7 @@ class Unconstrained:
         The dimension is posterior_mode where the model has one called mode, as a damping ratio for each mode
         of vibration may well have.
         """
-        _, dims = coords_and_dims_for_inferencedata(model)
+        dims = model.named_vars_to_dims
         over = "posterior_mode" if any("mode" in of_one for of_one in dims.values()) else "mode"
         values = {
             name: ((over, *dims.get(name, [f"{name}_dim_{i}" for i in range(v.ndim - 1)])), v)

@@ -8,9 +8,9 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pymc_features import modal
 from pymc_features._checks import as_array, as_list, as_numbers, check_mapping, message, shown
 from pymc_features.modal.data import ModalData, real_shape
+from pymc_features.modal.data import mac as mac_of
 from pymc_features.plots.axes import AxesLike, checked_axes, figure, legend_outside
 
 type ShapesLike = ArrayLike | object  # shapes, or modes that have them
@@ -207,7 +207,7 @@ class Compared:
     def macs(self, sensors=slice(None)) -> np.ndarray:
         """MAC (N, i, m) of each identified mode and each mode of the model, NaN without a shape."""
         draws, m, _ = self.shapes.shape
-        found = modal.mac(self.measured, self.shapes[:, :, sensors].reshape(draws * m, -1))
+        found = mac_of(self.measured, self.shapes[:, :, sensors].reshape(draws * m, -1))
         return found.reshape(-1, draws, m).transpose(1, 0, 2)
 
     def frequency(self, mode: int, form: str) -> str:

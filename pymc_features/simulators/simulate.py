@@ -27,7 +27,7 @@ SIMULATED = set()  # families of which this process has made data
 
 if TYPE_CHECKING:
     from pymc_features.records import CyclicTest, Loading, Record
-    from pymc_features.structures import Structure
+    from pymc_features.structures.base import Structure
 
 
 def simulate(

@@ -13,7 +13,7 @@ from pymc_features.simulators.simulate import check_arguments
 
 if TYPE_CHECKING:
     from pymc_features.records import Record
-    from pymc_features.structures import Structure
+    from pymc_features.structures.base import Structure
 
 
 def spring_forces(structure: "Structure", record: "Record", *, dt: float | None = None) -> xr.Dataset:

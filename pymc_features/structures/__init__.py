@@ -1,7 +1,7 @@
 """Structures and their damping. A new structure is a class here and one line below."""
 
 from pymc_features.records import CyclicTest
-from pymc_features.simulators import integration_error, spring_forces
+from pymc_features.simulators.spring_forces import integration_error, spring_forces
 from pymc_features.structures.affine import AffineStructure
 from pymc_features.structures.base import Input, Kind, Matrices, Modes, Structure
 from pymc_features.structures.chains import DuffingChain, HystereticChain, SpringMassChain

@@ -7,7 +7,7 @@ from typing import NoReturn, TypedDict
 
 import numpy as np
 import pymc as pm
-from pymc.smc.kernels import SMC_KERNEL, Pearson
+from pymc.smc.kernels import SMC_KERNEL
 from pymc.util import RandomState
 from pymc.vartypes import discrete_types
 
@@ -240,7 +240,7 @@ class PopulationKernel(SMC_KERNEL):
         """Metropolis-Hastings steps until the particles have forgotten where the stage began, as in PyMC."""
         self.n_steps = 0
         previous = 2.0
-        correlation = Pearson(self.tempered_posterior)
+        start = self.tempered_posterior.copy()
         accepted_steps = []
         while True:
             log_u = np.log(self.rng.random(self.draws))
@@ -254,7 +254,7 @@ class PopulationKernel(SMC_KERNEL):
             self.likelihood_logp[accepted] = likelihood[accepted]
             accepted_steps.append(accepted)
             self.n_steps += 1
-            r = correlation.get(self.tempered_posterior)
+            r = correlations(start, self.tempered_posterior)
             if not np.mean((previous - r) > self.correlation_threshold) > 0.9:
                 break
             previous = r
@@ -284,3 +284,9 @@ class PopulationKernel(SMC_KERNEL):
             "_n_tune": self.n_steps,
             "correlation_threshold": self.correlation_threshold,
         }
+
+
+def correlations(a, b) -> np.ndarray:
+    """Absolute correlation coefficients (d,) of the columns of two arrays (n, d)."""
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    return abs((a * b).sum(axis=0)) / np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0))

@@ -5,7 +5,7 @@ from os import PathLike
 import numpy as np
 import pymc as pm
 from pymc.pytensorf import floatX
-from pymc.smc.kernels import IMH, MH
+from pymc.smc import IMH, MH
 from pymc.util import RandomState
 
 from pymc_features._checks import check_positive
@@ -45,7 +45,7 @@ class Metropolis(PopulationKernel):
 
 
 class PopulationMH(Metropolis, MH):
-    """Random-walk Metropolis: the particles of `pymc.smc.kernels.MH`, evaluated all at once.
+    """Random-walk Metropolis: the particles of `pymc.smc.MH`, evaluated all at once.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class PopulationMH(Metropolis, MH):
 
 
 class PopulationIMH(Metropolis, IMH):
-    """Independent Metropolis-Hastings: the particles of `pymc.smc.kernels.IMH`, evaluated all at once.
+    """Independent Metropolis-Hastings: the particles of `pymc.smc.IMH`, evaluated all at once.
 
     Parameters
     ----------
