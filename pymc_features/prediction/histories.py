@@ -15,9 +15,9 @@ from pymc_features.simulators.oscillators.arguments import (
     n_outputs,
     write_own,
 )
-from pymc_features.simulators.oscillators.modal_system import BLOCK, add_feed
 from pymc_features.simulators.oscillators.table import advance, new_outputs
 
+BLOCK = 128  # samples handled at a time: the working set stays in the first-level cache
 MEMORY = 16 * 2**20  # of a block of responses [bytes]
 
 
@@ -91,3 +91,14 @@ def advance_all(recursions, excitation, states, first, count, responses):
         for j in range(n_rows):
             for b in range(count):
                 responses[j, b, i] = block[j, b]
+
+
+@jit
+def add_feed(feed, own, count, block):
+    """Add what inputs (d, >= count) do directly to `count` samples of a block (s, >= count)."""
+    for i in range(own.shape[0]):
+        for j in range(block.shape[0]):
+            share = feed[j, i]
+            if share != 0.0:
+                for b in range(count):
+                    block[j, b] += share * own[i, b]

@@ -57,7 +57,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import Excitation, ground_at, n_outputs
-from pymc_features.simulators.oscillators.misfit import measured_difference, weigh_history
+from pymc_features.simulators.oscillators.misfit import measured_difference, statistics, weigh_history
 
 NAMES = (
     "stiffness",
@@ -383,14 +383,6 @@ def forces(law, excitation, *, with_gradient=False) -> tuple[np.ndarray, np.ndar
 def at_sensors(wanted, history) -> np.ndarray:
     """The only history (..., u) as those of the sensors asked for, (..., s, u)."""
     return np.repeat(history[..., None, :], np.size(wanted.sensors), axis=-2)
-
-
-def statistics(response, observed) -> np.ndarray:
-    """Statistics (s, 4) of the misfit y - g, see `misfit`."""
-    misfit, total = observed - response, response.shape[1]
-    squares = np.square(measured_difference(response, observed)).sum(axis=1)
-    increments = np.square(np.diff(misfit, axis=1)).sum(axis=1)
-    return np.stack([squares / total, increments / total, misfit[:, 0], misfit[:, -1]], axis=1)
 
 
 def response(parameters, excitation, wanted):

@@ -45,8 +45,8 @@ def linear_misfit_gradient(parameters, excitation, wanted, observed, weights) ->
     """Gradient of sum_ji c_ji times the statistics of the misfit; data (s, u), weights c (s, 1) or (s, 4).
 
     One column weighs e_j alone, four all that `linear_misfit` returns. Returns as `linear_response_gradient`.
-    Memory: a few blocks of 128 samples; of modes that the damping couples also the response, and their state
-    at every 128th step.
+    Memory: a few blocks of samples; of modes that the damping couples also the response, and their states at
+    all steps.
     """
     a = Arguments(parameters, excitation, wanted)
     a.check(observed, weights)

@@ -16,10 +16,11 @@ from pymc_features.simulators.linear.dense_structures import (
     evaluate_structure,
 )
 from pymc_features.simulators.linear.oscillators import march_modes
-from pymc_features.simulators.linear.state_space import march_state, state_matrices
+from pymc_features.simulators.linear.state_space import response_of
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system, solved, solved_alone
 from pymc_features.simulators.long_records.systems import Systems, new_systems, put_modes
-from pymc_features.simulators.oscillators.modal_system import has_fast, highest_step, statistics
+from pymc_features.simulators.oscillators.misfit import statistics
+from pymc_features.simulators.oscillators.modal_system import has_fast, highest_step
 
 
 def linear_response(parameters, excitation, wanted) -> np.ndarray:
@@ -50,8 +51,7 @@ def linear_discrepancy(parameters, excitation, wanted, observed) -> np.ndarray:
 def linear_misfit(parameters, excitation, wanted, observed) -> np.ndarray:
     """Statistics (s, 4) of the misfit with the data (s, u), in the order of `oscillators.misfit`.
 
-    Memory: a few blocks of 128 samples; of modes that the damping couples their state at every 128th step as
-    well.
+    Memory: a few blocks of samples; of modes that the damping couples their states at all steps as well.
     """
     a = Arguments(parameters, excitation, wanted)
     a.check(observed)
@@ -73,16 +73,14 @@ def solve(a, observed):
 
 def evaluate(a, system, observed):
     """Response (s, u) of a system or, with data, its misfits (s, 4); NaN if there is no system."""
-    observed, history = data_or_history(a, observed)
-    sums = np.zeros((4, a.shape[0]))
     if system is None:
-        history[:], sums[:] = np.nan, np.nan
-    elif is_coupled(system.modal_damping):
-        march_state(state_matrices(a, system)[1], a.inputs, observed, history, sums)
-    else:
-        found = march_modes(a, system, observed, history)
-        return history if history.size else found
-    return history if history.size else statistics(sums, a.shape[1])
+        return np.full(a.shape if observed is None else (a.shape[0], 4), np.nan)
+    if is_coupled(system.modal_damping):
+        response = response_of(a, system)
+        return response if observed is None else statistics(response, observed)
+    observed, history = data_or_history(a, observed)
+    found = march_modes(a, system, observed, history)
+    return history if history.size else found
 
 
 def data_or_history(a, observed):

@@ -21,9 +21,9 @@ With z[k+1] = T z[k] + N a[k] + A a[k+1] and y[k] = O z[k] + J a[k], the derivat
 
     mu[k] = T' mu[k+1] + O' w[k],   w = dL/dy,
 
-and those by T, N, A, O and J are sums of products of mu, w, z and a. The states are computed again from
-checkpoints, 128 steps at a time. The derivatives of the matrix exponential follow from its Frechet
-derivative (Al-Mohy & Higham, SIAM J. Matrix Anal. Appl. 30, 1639-1657, 2009).
+the same recursion from the end of the record to its beginning, and those by T, N, A, O and J are sums of
+products of mu, w, z and a. The derivatives of the matrix exponential follow from its Frechet derivative
+(Al-Mohy & Higham, SIAM J. Matrix Anal. Appl. 30, 1639-1657, 2009).
 
 The modes are a basis Phi that is held fixed: the response does not depend on it, so that repeated frequencies
 need no care. In this basis R = X^-1 [Phi' K Phi, Phi' C Phi, Phi' L], where X = Phi' M Phi is the identity
@@ -42,12 +42,8 @@ from pymc_features.simulators.linear.system import observe
 from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_DISPLACEMENT,
     RELATIVE_VELOCITY,
-    interpolate,
-    n_outputs,
-    write_own,
 )
 from pymc_features.simulators.oscillators.misfit import weigh_history
-from pymc_features.simulators.oscillators.modal_system import BLOCK, take_block
 
 BY_LOOPS = 40  # states up to which the loops of a product take less time than a call of BLAS
 
@@ -136,115 +132,84 @@ def state_matrices(a, system):
 
 
 @jit
-def block_samples(stride):
-    """Output samples in a block of at most 128 steps; one, where it takes more steps."""
-    return max(BLOCK // stride, 1)
-
-
-@jit
-def advance_state(matrices, excitation, first, count, states, ground):
-    """Write the states after the first one, `count` steps of the recursion from step `first` on.
-
-    Parameters
-    ----------
-    matrices : StateMatrices
-    excitation : Excitation
-        With inputs (d, t).
-    states, ground : array (> count, 2m), (d, > count)
-        States and inputs at the steps; all but `states[0]` are written.
-    """
-    now, after, size = matrices.now.T.copy(), matrices.after.T.copy(), matrices.now.shape[0]
-    columns = matrices.transition.T.copy()
-    for i in range(ground.shape[0]):
-        interpolate(excitation.acceleration[i], excitation.substeps, first, ground[i])
-    for k in range(count):
-        state, before = states[k + 1], states[k]
+def carry_on(transition, states):
+    """Add to each of the states (t, n) but the first what the transition makes of the one before it."""
+    size, columns, moved = transition.shape[0], transition.T.copy(), np.empty(transition.shape[0])
+    for k in range(1, states.shape[0]):
+        before, state = states[k - 1], states[k]
         if size > BY_LOOPS:
-            np.dot(matrices.transition, before, state)
+            np.dot(transition, before, moved)
+            for r in range(size):
+                state[r] += moved[r]
         else:
-            for r in range(size):
-                state[r] = 0.0
-            for c in range(size):
+            for c in range(0, size, 2):  # all states come in pairs
                 for r in range(size):
-                    state[r] += columns[c, r] * before[c]
-        for i in range(ground.shape[0]):
-            for r in range(size):
-                state[r] += now[i, r] * ground[i, k] + after[i, r] * ground[i, k + 1]
+                    state[r] += columns[c, r] * before[c] + columns[c + 1, r] * before[c + 1]
 
 
-@jit
-def march_state(matrices, excitation, observed, history, sums):
-    """Carry coupled modes through the record; see `take_block` for what becomes of the response.
+class Marched(NamedTuple):
+    """States of a record at all steps, and its inputs.
 
-    Parameters as in `advance_state` and `take_block`. Returns the states (blocks, 2m) at the first sample of
-    each block.
-    """
-    (size, n_inputs), stride = matrices.now.shape, excitation.stride
-    total = n_outputs(excitation.acceleration.shape[1], excitation.substeps, stride)
-    samples = block_samples(stride)
-    states, ground = np.zeros((samples * stride + 1, size)), np.zeros((n_inputs, samples * stride + 1))
-    starts, own = np.zeros(((total + samples - 1) // samples, size)), np.empty((n_inputs, samples))
-    for block in range(starts.shape[0]):
-        first = block * samples
-        count = min(samples, total - first)
-        steps = count * stride if first + count < total else (count - 1) * stride
-        advance_state(matrices, excitation, first * stride, steps, states, ground)
-        starts[block] = states[0]
-        at_samples = np.ascontiguousarray(states[: count * stride : stride].T)
-        write_own(excitation, ground, first, count, own)
-        inputs = np.ascontiguousarray(own[:, :count])
-        outputs = np.dot(matrices.output, at_samples) + np.dot(matrices.direct, inputs)
-        take_block(outputs, first, count, observed, history, sums)
-        states[0] = states[steps]
-    return starts
-
-
-NO_SUMS = np.empty((1, 0))  # of a comparison with data, where there is none
-
-
-@jit
-def matrix_gradients(matrices, excitation, starts, weighted):
-    """Derivatives of L by all of `StateMatrices`.
-
-    Parameters
+    Attributes
     ----------
-    matrices : StateMatrices
-    excitation : Excitation
-    starts : array (blocks, 2 m)
-        States at the first sample of each block, from `march_state`.
-    weighted : array (s, u)
-        w = dL/dy.
+    states : array (t, 2 m)
+        z at the steps up to the last output.
+    ground : array (d, t)
+        Inputs at these steps.
+    own : array (d, u)
+        The inputs' own values at the outputs.
     """
-    (size, n_inputs), stride, total = matrices.now.shape, excitation.stride, weighted.shape[1]
-    samples = block_samples(stride)
-    states, ground = np.zeros((samples * stride + 1, size)), np.zeros((n_inputs, samples * stride + 1))
-    adjoints, backward = np.zeros((samples * stride + 1, size)), np.ascontiguousarray(matrices.transition.T)
-    grad_transition, grad_output = np.zeros((size, size)), np.zeros(matrices.output.shape)
-    grad_now, grad_after = np.zeros((size, n_inputs)), np.zeros((size, n_inputs))
-    grad_direct, at_samples = np.zeros(matrices.direct.shape), np.empty((n_inputs, samples))
-    for block in range(starts.shape[0] - 1, -1, -1):
-        first = block * samples
-        count = min(samples, total - first)
-        is_last = block + 1 == starts.shape[0]
-        steps = (count - 1) * stride if is_last else count * stride
-        states[0] = starts[block]
-        advance_state(matrices, excitation, first * stride, steps, states, ground)
-        own = np.ascontiguousarray(weighted[:, first : first + count])
-        grad_output += np.dot(own, np.ascontiguousarray(states[: count * stride : stride]))
-        write_own(excitation, ground, first, count, at_samples)
-        grad_direct += np.dot(own, np.ascontiguousarray(at_samples[:, :count].T))
-        loads = np.dot(own.T, matrices.output)  # O' w
-        # the adjoint of the state at the block's end is the first of the block behind it
-        adjoints[steps] = loads[count - 1] if is_last else adjoints[0]
-        for b in range(steps - 1, -1, -1):
-            np.dot(backward, adjoints[b + 1], adjoints[b])
-            if b % stride == 0:
-                adjoints[b] += loads[b // stride]
-        following = np.ascontiguousarray(adjoints[1 : steps + 1].T)
-        grad_transition += np.dot(following, states[:steps])
-        grad_now += np.dot(following, np.ascontiguousarray(ground[:, :steps].T))
-        grad_after += np.dot(following, np.ascontiguousarray(ground[:, 1 : steps + 1].T))
-    return StateMatrices(grad_transition, grad_now, grad_after, grad_output, grad_direct)
+
+    states: np.ndarray
+    ground: np.ndarray
+    own: np.ndarray
+
+
+def march_states(a, matrices) -> Marched:
+    """Take the state through the record, from rest."""
+    acceleration, _, substeps, stride, direct = a.excitation
+    total = a.shape[1]
+    ground = acceleration[:, : (total - 1) * stride + 1]
+    if substeps > 1:
+        sample, part = np.divmod(np.arange((total - 1) * stride + 1), substeps)
+        following = np.minimum(sample + 1, acceleration.shape[1] - 1)
+        before, after = acceleration[:, sample], acceleration[:, following]
+        ground = before + part / substeps * (after - before)
+    own = ground[:, ::stride] if direct.size == 0 else direct[0, :, :total]
+    states = np.zeros((ground.shape[1], len(matrices.now)))
+    ends = np.concatenate([ground[:, :-1], ground[:, 1:]])
+    np.matmul(ends.T, np.hstack([matrices.now, matrices.after]).T, out=states[1:])
+    carry_on(matrices.transition, states)
+    return Marched(states, ground, own)
+
+
+def outputs_of(a, matrices, marched):
+    """Response (s, u)."""
+    at_outputs = marched.states[:: a.excitation.stride]
+    return matrices.output @ at_outputs.T + matrices.direct @ marched.own
+
+
+def response_of(a, system):
+    """Response (s, u) of a system. Memory: the states at all steps."""
+    _, matrices = state_matrices(a, system)
+    return outputs_of(a, matrices, march_states(a, matrices))
+
+
+def matrix_gradients(a, matrices, marched, weighted):
+    """Derivatives of L by all of `StateMatrices`; w = dL/dy (s, u)."""
+    states, ground, own = marched
+    backward = np.zeros(states.shape)
+    backward[:: a.excitation.stride] = weighted.T @ matrices.output
+    backward = np.ascontiguousarray(backward[::-1])
+    carry_on(np.ascontiguousarray(matrices.transition.T), backward)
+    following = backward[-2::-1].T
+    return StateMatrices(
+        following @ states[:-1],
+        following @ ground[:, :-1].T,
+        following @ ground[:, 1:].T,
+        weighted @ states[:: a.excitation.stride],
+        weighted @ own.T,
+    )
 
 
 def pull_back(a, system, history, weights=None):
@@ -261,17 +226,16 @@ def pull_back(a, system, history, weights=None):
 
     Notes
     -----
-    Memory: the response of this one structure, and the states at every 128th step.
+    Memory: the response of this one structure, and its states at all steps.
     """
     m, quantity = system.omega.size, a.wanted.quantity
     equations, matrices = state_matrices(a, system)
-    weighted = np.empty(a.shape)
-    starts = march_state(matrices, a.inputs, weighted, weighted, NO_SUMS)
-    if weights is None:
-        weighted = writable(history)
-    else:
-        weigh_history(weighted, writable(history), writable(weights))
-    grad = matrix_gradients(matrices, a.inputs, starts, weighted)
+    marched = march_states(a, matrices)
+    if weights is not None:
+        response = outputs_of(a, matrices, marched)
+        weigh_history(response, writable(history), writable(weights))
+        history = response
+    grad = matrix_gradients(a, matrices, marched, history)
 
     # by R: the exponential of the generator has [T, N + A, A] in its rows
     generator, width = equations.generator(), equations.scales.size

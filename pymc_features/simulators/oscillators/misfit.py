@@ -38,3 +38,11 @@ def weigh_history(response, observed, weights):
 def measured_difference(response, observed) -> np.ndarray:
     """Response less data, of any shape; zero where nothing was measured."""
     return np.where(np.isnan(observed), 0.0, response - observed)
+
+
+def statistics(response, observed) -> np.ndarray:
+    """Statistics (s, 4) of the misfit of a response (s, u) with data."""
+    misfit, total = observed - response, response.shape[1]
+    squares = np.square(measured_difference(response, observed)).sum(axis=1)
+    increments = np.square(np.diff(misfit, axis=1)).sum(axis=1)
+    return np.stack([squares / total, increments / total, misfit[:, 0], misfit[:, -1]], axis=1)
