@@ -214,7 +214,7 @@ SIMULATOR_ROOMS = {
     "eigen": {"compiled", "numbers", "oscillators"},
     "long_records": {"compiled", "numbers", "oscillators"},
     "chain": {"compiled", "oscillators", "eigen", "long_records"},
-    "linear": {"compiled", "oscillators", "eigen", "long_records"},
+    "linear": {"compiled", "numbers", "oscillators", "eigen", "long_records"},
     "taylor": {"compiled", "oscillators"},
     "nonlinear": {"compiled", "oscillators", "chain", "taylor"},
     "modal": {"compiled", "oscillators", "chain", "linear"},

@@ -8,10 +8,8 @@ from scipy.linalg import eigh_tridiagonal
 
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import new_vectors
-from pymc_features.simulators.eigen.matrices import (
-    is_never_negative,
-)
-from pymc_features.simulators.eigen.tridiagonal import values_of_lanes
+from pymc_features.simulators.eigen.matrices import is_never_negative
+from pymc_features.simulators.eigen.tridiagonal import diagonalise_lanes
 from pymc_features.simulators.oscillators.table import (
     N_ROWS,
     OUT_P,
@@ -55,11 +53,11 @@ def tridiagonals(n):
 
 
 @pytest.mark.parametrize(("n", "scale"), [(2, 1.0), (3, 1e-12), (10, 1.0), (40, 1e12)])
-def test_values_without_roots(n, scale):
+def test_values_of_tridiagonal_matrices(n, scale):
     """Of matrices of any kind side by side: 1e-15 times n of the largest value."""
     diagonal, beside = (scale * a for a in tridiagonals(n))
     values = in_lanes(diagonal)
-    assert values_of_lanes(values, in_lanes([np.append(b * b, 0.0) for b in beside]))
+    assert diagonalise_lanes(values, in_lanes([np.append(b, 0.0) for b in beside]), new_vectors(0))
     for lane in range(LANES):
         exact = eigh_tridiagonal(diagonal[lane], beside[lane], eigvals_only=True)
         np.testing.assert_allclose(

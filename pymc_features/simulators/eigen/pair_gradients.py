@@ -1,27 +1,24 @@
-"""Derivatives by the entries of M, C and K of structures in lanes, from the sums of `pair_lanes`.
+"""Derivatives by the reduced matrices of structures in lanes, from sums over time of pairs of complex modes.
 
-With Q(z) = z^2 M + z C + K and its inverse, the sum of x_k x_k' / (alpha_k (z - lambda_k)) over all poles,
-the displacement -Q^-1 Gamma a changes by Q^-1 dQ Q^-1 Gamma a: by pairs of poles with divided differences,
+With Q(z) = z^2 + z D + Omega^2 in classical modes and its inverse, the sum of
+x_k x_k' / (alpha_k (z - lambda_k)) over all poles, the displacement -Q^-1 Gamma a changes by
+Q^-1 dQ Q^-1 Gamma a: by pairs of poles with divided differences,
 
     dL = sum_kl (x_k' dA x_l) p_k r_l lambda_k^i [v_k'o_k - v_k'o_l] / (lambda_k - lambda_l),
 
-p_k = 1/alpha_k, r_l = x_l'Gamma/alpha_l, v_k = S x_k dL/dy, o_l the output of pole l, and i = 0, 1, 2 where A
-is K, C or M. For k = l the quotient is v_k'do_k/dlambda. Where it is M two terms more come from what the
-divided differences of z^2 lambda/(z - lambda) leave: the sum of lambda_k p_k x_k x_k' is the identity.
+p_k = 1/alpha_k, r_l = x_l'Gamma/alpha_l, v_k = S Phi x_k dL/dy, o_l the output of pole l, and i = 0, 1, 2
+where A is Phi'K Phi, Phi'C Phi or Phi'M Phi. For k = l the quotient is v_k'do_k/dlambda. Where it is
+Phi'M Phi two terms more come from what the divided differences of z^2 lambda/(z - lambda) leave: the sum of
+lambda_k p_k x_k x_k' is the identity.
 
-Of two pairs of poles with i_k and i_l the differences are numbers of four parts, of 1, i_k, i_l and i_k i_l.
-
-Where pairs of complex modes of structures lie, one structure in each lane; `pair_lanes` fills it.
-
-Pairs of complex modes on their way through a record, with the sums that their gradients need.
-
-One structure in each vector lane. A number a + b i with i^2 = -1, or +1 where both poles of the pair are
-real, stands for both modes of a pair, see `eigen.complex_modes`; what is summed over both is twice its real
-part. A mode is f' = lambda f + a, of which the march has the displacement and the velocity of its pair with
-their derivatives by s = z z* and d = -(z + z*), z = lambda h, see `oscillators.exact_step`:
+A pair is a number a + b J, see `complex_modes`; what is summed over both poles is twice its real part. A pole
+obeys f' = lambda f + a, of which the march has the displacement and the velocity of its pair with their
+derivatives by s = z z* and d = -(z + z*), z = lambda h, see `oscillators.exact_step`:
 
     f = -h u,   u = R + D J,   D = displacement / h^2,   R = velocity / h + D d / 2,   J = h b i,
     du/dz = z* du/ds - du/dd + D / 2.
+
+Of two pairs of poles with J_k and J_l the differences are numbers of four parts, of 1, J_k, J_l and J_k J_l.
 """
 
 from typing import NamedTuple
@@ -29,107 +26,25 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import load, magnitude, splat, store, where_less
-from pymc_features.simulators.compiled.vector_math import larger
 from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.complex_modes import (
-    at_sensor,
-    input_factor,
-    mode_places,
-    norm,
-    over,
+    inverse,
+    number,
+    order_of,
     pole_of,
-    times,
-    write_shares,
+    put_number,
 )
-from pymc_features.simulators.numbers.compiled_numbers import new_quadratic
+from pymc_features.simulators.eigen.matrices import multiply_lanes
+from pymc_features.simulators.numbers.compiled_numbers import (
+    in_lanes,
+    larger,
+    magnitude,
+    new_quadratic,
+    where_less,
+)
 from pymc_features.simulators.numbers.rows import view
-from pymc_features.simulators.oscillators.arguments import (
-    ABSOLUTE_ACCELERATION,
-    RELATIVE_ACCELERATION,
-    RELATIVE_VELOCITY,
-)
 from pymc_features.simulators.oscillators.modal_lanes import PARTS
 from pymc_features.simulators.oscillators.reduction import CLOSE
-
-
-class PairLanes(NamedTuple):
-    """Pairs of complex modes of structures, one in each lane. Two vectors for each complex number.
-
-    Attributes
-    ----------
-    poles : array (3 m, LANES)
-        a, b and i^2.
-    left, right : array (2 m, LANES)
-        1 / alpha and x'Gamma / alpha, alpha = x' (2 lambda + D) x.
-    seen : array (2 s m, LANES)
-        S x, of sensor j and mode r in rows 2 (j m + r) ...
-    vectors : array (2 m n, LANES)
-        Phi x, of entry i and mode r in rows 2 (i m + r) ...
-    sums : array (4 s m, LANES)
-        Of dL/dy_j times the output of a pole, and its derivative by lambda.
-    of_ground : array (s, LANES)
-        Of dL/dy_j times the input.
-    """
-
-    poles: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
-    seen: np.ndarray
-    vectors: np.ndarray
-    sums: np.ndarray
-    of_ground: np.ndarray
-
-
-@jit
-def new_pairs(n, m, n_sensors):
-    """Room for structures of n degrees of freedom and m pairs of modes."""
-    s = n_sensors + n_sensors % 2
-    return PairLanes(
-        poles=new_vectors(3 * m),
-        left=new_vectors(2 * m),
-        right=new_vectors(2 * m),
-        seen=new_vectors(2 * s * m),
-        vectors=new_vectors(2 * m * n),
-        sums=new_vectors(4 * s * m),
-        of_ground=new_vectors(s),
-    )
-
-
-@jit
-def put_number(matrix, i, number):
-    """Write a complex number."""
-    store(matrix, 2 * i, number[0])
-    store(matrix, 2 * i + 1, number[1])
-
-
-@jit
-def number(matrix, i):
-    """A complex number."""
-    return load(matrix, 2 * i), load(matrix, 2 * i + 1)
-
-
-@jit
-def order_of(quantity):
-    """How many times the displacement is differentiated."""
-    if quantity in (ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION):
-        return 2
-    return 1 if quantity == RELATIVE_VELOCITY else 0
-
-
-@jit
-def write_pair(oscillators, pairs, modes, r, p, quantity):
-    """Write pair r, place p of the panel, into `Pairs` and `PairLanes`."""
-    at, m = mode_places(modes), modes.omega.shape[0]
-    (a, b), square = pole_of(at, p)
-    store(pairs.poles, 3 * r, a)
-    store(pairs.poles, 3 * r + 1, b)
-    store(pairs.poles, 3 * r + 2, square)
-    put_number(pairs.left, r, norm(at, p))
-    put_number(pairs.right, r, input_factor(at, p))
-    for j in range(oscillators.forced.shape[0]):
-        put_number(pairs.seen, j * m + r, at_sensor(at, j, p))
-    write_shares(oscillators, at, r, p, quantity)
 
 
 @jit
@@ -141,194 +56,205 @@ def marched(products, row, after, r, rows, ground):
 
 
 @jit
-def complete_sums(pairs, lot, sums, quantity, widths):
+def complete_sums(at, lot, sums):
     """Write the sums of dL/dy times a pole's output and its derivative by lambda."""
-    like, h, m = widths.structure, lot.step, lot.n_modes // 2
-    rows, poles, found = lot.after.shape[0] // PARTS, view(pairs.poles, like), view(pairs.sums, like)
-    after, of_ground, order = view(lot.after, like), view(pairs.of_ground, like), order_of(quantity)
-    for j in range(lot.n_sensors):
+    h, m, rows = lot.step, at.m, lot.after.shape[0] // PARTS
+    after, order = view(lot.after, in_lanes(0.0)), order_of(lot.quantity)
+    for j in range(at.s):
         ground = sums.ground[j]
-        of_ground[j] = ground
+        at.ground[j] = ground
         for r in range(m):
-            a, b, square = poles[3 * r], poles[3 * r + 1], poles[3 * r + 2]
-            at = j * sums.modes + r
-            q, q_s, q_d = marched(sums.products, at, after, r, rows, ground)
-            v, v_s, v_d = marched(sums.products, at + m, after, m + r, rows, ground)
-            scale, half = 1.0 / (h * h), (0.0 - h) * a  # d / 2
+            pole, row = pole_of(at.poles, r), j * sums.modes + r
+            q, q_s, q_d = marched(sums.products, row, after, r, rows, ground)
+            v, v_s, v_d = marched(sums.products, row + m, after, m + r, rows, ground)
+            scale, half = 1.0 / (h * h), (0.0 - h) * pole.re  # d / 2
             q, q_s, q_d = scale * q, scale * q_s, scale * q_d
             scale = 1.0 / h
             c = scale * v + half * q
             c_s, c_d = scale * v_s + half * q_s, scale * v_d + half * q_d + 0.5 * q
-            turn = h * b  # of J in units of i
-            real = 0.5 * q - half * c_s - turn * turn * square * q_s - c_d
+            turn = h * pole.im  # of J in units of i
+            real = 0.5 * q - half * c_s - turn * turn * pole.square * q_s - c_d
             imaginary = 0.0 - turn * (half * q_s + c_s + q_d)
-            pole = new_quadratic(a, b, square)
-            output = new_quadratic((0.0 - h) * c, (0.0 - h) * (turn * q), square)
-            slope = new_quadratic((0.0 - h * h) * real, (0.0 - h * h) * imaginary, square)
+            output = new_quadratic((0.0 - h) * c, (0.0 - h) * (turn * q), pole.square)
+            slope = new_quadratic((0.0 - h * h) * real, (0.0 - h * h) * imaginary, pole.square)
             for _ in range(order):
                 slope = pole * slope + output
                 output = pole * output
-            row = 4 * (j * m + r)
-            found[row], found[row + 1] = output.re, output.im
-            found[row + 2], found[row + 3] = slope.re, slope.im
+            put_number(at.sums, 2 * (j * m + r), output)
+            put_number(at.sums, 2 * (j * m + r) + 1, slope)
 
 
 @jit
-def pole_at(pairs, r):
-    """a, b and i^2 of pair r."""
-    return load(pairs.poles, 3 * r), load(pairs.poles, 3 * r + 1), load(pairs.poles, 3 * r + 2)
-
-
-@jit
-def smaller(x, y):
-    """The smaller of two numbers, lane by lane."""
-    return where_less(x, y, x, y)
-
-
-@jit
-def poles_apart(pairs, duration):
+def poles_apart(at, duration):
     """One in the lanes where no two poles are close, as in `reduction.nearness`; zero elsewhere."""
-    m, one, zero = pairs.poles.shape[0] // 3, splat(1.0), splat(0.0)
+    one, nil = in_lanes(1.0), in_lanes(0.0)
     apart = one
-    for k in range(m):
-        a, b, square = pole_at(pairs, k)
-        size = magnitude(a) + b
-        memory = where_less(one, duration * magnitude(a), one / magnitude(a), splat(duration))
-        memory = larger(memory, 3.0 / size)
+    for k in range(at.m):
+        pole = pole_of(at.poles, k)
+        (a, b), square = (pole.re, pole.im), pole.square
+        memory = where_less(1.0, duration * magnitude(a), one / magnitude(a), nil + duration)
+        memory = larger(memory, 3.0 / (magnitude(a) + b))
         for r in range(k):
-            c, d, other = pole_at(pairs, r)
-            across, along = magnitude(b - d), magnitude(a - c)
-            gap = along + across
+            other = pole_of(at.poles, r)
+            across, along, d = magnitude(b - other.im), magnitude(a - other.re), other.im
             # real poles, of one pair or of both
-            real = smaller(magnitude(along - across), magnitude(along - (b + d)))
-            mixed = where_less(square, zero, b, d) + larger(along - where_less(square, zero, d, b), zero)
-            gap = where_less(zero, square * other, where_less(zero, square, real, gap), mixed)
-            apart = where_less(splat(CLOSE), gap * memory, apart, zero)
+            near, far = magnitude(along - across), magnitude(along - (b + d))
+            real, beside = where_less(near, far, near, far), where_less(square, 0.0, d, b)
+            mixed = where_less(square, 0.0, b, d) + larger(along - beside, nil)
+            gap = where_less(0.0, square, real, along + across)
+            gap = where_less(0.0, square * other.square, gap, mixed)
+            apart = where_less(CLOSE, gap * memory, apart, nil)
     return apart
 
 
 @jit
-def own_differences(pairs, r, n_sensors):
+def own_differences(at, r):
     """v_r'o_r, and the differences of pole r with itself and with its partner."""
-    m, zero = pairs.poles.shape[0] // 3, splat(0.0)
-    _, b, square = pole_at(pairs, r)
-    own = same = cross = (zero, zero)
-    for j in range(n_sensors):
-        seen, row = number(pairs.seen, j * m + r), 2 * (j * m + r)
-        output = number(pairs.sums, row)
-        product, slope = times(seen, output, square), times(seen, number(pairs.sums, row + 1), square)
-        own = own[0] + product[0], own[1] + product[1]
-        same = same[0] + slope[0], same[1] + slope[1]
-        cross = cross[0] + seen[0] * output[1], cross[1] + seen[1] * output[1]
-    return own, same, (cross[0] / b, cross[1] / b)
+    pole = pole_of(at.poles, r)
+    own = same = cross = new_quadratic(in_lanes(0.0), in_lanes(0.0), pole.square)
+    for j in range(at.s):
+        place = j * at.m + r
+        seen, output = number(at.seen, place, pole.square), number(at.sums, 2 * place, pole.square)
+        own, cross = own + seen * output, cross + seen * output.im
+        same = same + seen * number(at.sums, 2 * place + 1, pole.square)
+    return own, same, cross * (1.0 / pole.im)
 
 
 @jit
-def write_differences(pairs, k, n_sensors, differences):
-    """Write the divided differences of pair k, into rows 2 k and 2 k + 1 of a matrix (4 m m, LANES).
+def write_differences(at, k, differences):
+    """Write the divided differences of pair k, into rows 2 k and 2 k + 1 of a matrix (2m, 2m).
 
     Those with pair r, of four parts, stand in its columns 2 r and 2 r + 1. Returns v_k'o_k.
     """
-    m, half = pairs.poles.shape[0] // 3, splat(0.5)
-    a, b, square = pole_at(pairs, k)
-    own, same, cross = own_differences(pairs, k, n_sensors)
-    top, low = 4 * k * m, 4 * k * m + 2 * m
+    m, pole, nil = at.m, pole_of(at.poles, k), in_lanes(0.0)
+    own, same, cross = own_differences(at, k)
+    top, low, square = 4 * k * m, 4 * k * m + 2 * m, pole.square
     for r in range(m):
         if r == k:
-            store(differences, top + 2 * r, half * (same[0] + cross[0]))
-            store(differences, low + 2 * r, half * (same[1] + cross[1]))
-            store(differences, top + 2 * r + 1, half * (same[1] - cross[1]))
-            store(differences, low + 2 * r + 1, half * (square * (same[0] - cross[0])))
+            differences[top + 2 * r] = 0.5 * (same.re + cross.re)
+            differences[low + 2 * r] = 0.5 * (same.im + cross.im)
+            differences[top + 2 * r + 1] = 0.5 * (same.im - cross.im)
+            differences[low + 2 * r + 1] = 0.5 * (square * (same.re - cross.re))
             continue
-        p0, p1, q0, q1 = own[0], own[1], splat(0.0), splat(0.0)
-        for j in range(n_sensors):
-            seen, output = number(pairs.seen, j * m + k), number(pairs.sums, 2 * (j * m + r))
-            p0, p1 = p0 - seen[0] * output[0], p1 - seen[1] * output[0]
-            q0, q1 = q0 - seen[0] * output[1], q1 - seen[1] * output[1]
-        c, d, other = pole_at(pairs, r)
-        gap = a - c
-        # over gap + b i_k - d i_l: times gap + b i_k + d i_l, over a number with i_k only
-        unlike = where_less(square * other, splat(0.0), b * b + d * d, (b - d) * (b + d))
-        size = gap * gap + square * unlike, 2.0 * gap * b
-        up, over_p, over_q = (gap, b), (p0, p1), (q0, q1)
-        first, second = times(over_p, up, square), times(over_q, up, square)
-        carry = other * d
-        p = over((first[0] + carry * q0, first[1] + carry * q1), size, square)
-        q = over((second[0] + d * p0, second[1] + d * p1), size, square)
-        store(differences, top + 2 * r, p[0])
-        store(differences, low + 2 * r, p[1])
-        store(differences, top + 2 * r + 1, q[0])
-        store(differences, low + 2 * r + 1, q[1])
+        p, q = own, new_quadratic(nil, nil, square)
+        for j in range(at.s):
+            seen, row = number(at.seen, j * m + k, square), 4 * (j * m + r)
+            p, q = p - seen * at.sums[row], q - seen * at.sums[row + 1]
+        other = pole_of(at.poles, r)
+        d = other.im
+        # over gap - d J_r: times gap + d J_r, over a number with J_k only
+        gap = new_quadratic(pole.re - other.re, pole.im, square)
+        unlike = where_less(square * other.square, 0.0, gap.im * gap.im + d * d, (gap.im - d) * (gap.im + d))
+        size = inverse(new_quadratic(gap.re * gap.re + square * unlike, 2.0 * (gap.re * gap.im), square))
+        p, q = (p * gap + q * (other.square * d)) * size, (q * gap + p * d) * size
+        differences[top + 2 * r], differences[low + 2 * r] = p.re, p.im
+        differences[top + 2 * r + 1], differences[low + 2 * r + 1] = q.re, q.im
     return own
 
 
 @jit
-def write_right(pairs, right):
-    """Write r_l times the vectors, (n 2m, LANES), so that products with differences sum over both poles."""
-    m = pairs.poles.shape[0] // 3
-    n = pairs.vectors.shape[0] // (2 * m)
-    for r in range(m):
-        square, factor = load(pairs.poles, 3 * r + 2), number(pairs.right, r)
-        for i in range(n):
-            x = times(number(pairs.vectors, i * m + r), factor, square)
-            put_number(right, i * m + r, (2.0 * x[0], 2.0 * (square * x[1])))
+def write_right(at, right):
+    """Write r_l times the vectors, (m, 2m), so that products with differences sum over both poles."""
+    for r in range(at.m):
+        square = at.poles[3 * r + 2]
+        factor = 2.0 * number(at.right, r, square)
+        for s in range(at.m):
+            x = number(at.vectors, s * at.m + r, square) * factor
+            right[2 * (s * at.m + r)], right[2 * (s * at.m + r) + 1] = x.re, square * x.im
 
 
 @jit
-def multiply_left(pairs, by_pole, left):
-    """Write p_k times the vectors into `left` (n 2m, LANES) or, `by_pole`, multiply it by lambda_k."""
-    m = pairs.poles.shape[0] // 3
-    n = pairs.vectors.shape[0] // (2 * m)
-    for r in range(m):
-        a, b, square = pole_at(pairs, r)
-        factor = number(pairs.left, r)
-        for i in range(n):
+def multiply_left(at, by_pole, left):
+    """Write p_k times the vectors into `left` (m, 2m) or, `by_pole`, multiply it by lambda_k."""
+    for r in range(at.m):
+        pole = pole_of(at.poles, r)
+        factor = 2.0 * number(at.left, r, pole.square)
+        for s in range(at.m):
+            i = s * at.m + r
             if by_pole:  # the imaginary part has the sign that the sum over both poles gives it
-                x = load(left, 2 * (i * m + r)), square * load(left, 2 * (i * m + r) + 1)
-                x = times(x, (a, b), square)
+                x = new_quadratic(left[2 * i], pole.square * left[2 * i + 1], pole.square) * pole
             else:
-                x = times(number(pairs.vectors, i * m + r), factor, square)
-                x = 2.0 * x[0], 2.0 * x[1]
-            put_number(left, i * m + r, (x[0], square * x[1]))
+                x = number(at.vectors, i, pole.square) * factor
+            left[2 * i], left[2 * i + 1] = x.re, pole.square * x.im
+
+
+class PairRoom(NamedTuple):
+    """Room for `derive_matrices`: matrices (m, 2m) three times, (2m, 2m), (m, m) and (m, 2)."""
+
+    left: np.ndarray
+    right: np.ndarray
+    partners: np.ndarray
+    differences: np.ndarray
+    product: np.ndarray
+    own: np.ndarray
 
 
 @jit
-def add_mass_terms(pairs, sensors, modes, request, own, entries):
-    """Add to the derivatives by M (n n, LANES) what divided differences leave; write those by the load.
+def new_pair_room(m):
+    """Room for the derivatives of structures with m modes."""
+    return PairRoom(
+        new_vectors(2 * m * m),
+        new_vectors(2 * m * m),
+        new_vectors(2 * m * m),
+        new_vectors(4 * m * m),
+        new_vectors(m * m),
+        new_vectors(2 * m),
+    )
 
-    Parameters
-    ----------
-    sensors : array (s n, LANES)
-        M^-1 S'.
-    modes : tuple of arrays (n 2m, LANES), (n, LANES), (n, LANES)
-        Of `write_right`; M^-1 times the load; the derivatives by the load, written.
-    request : tuple
-        Number of sensors and quantity.
-    own : array (2 m, LANES)
-        v_k'o_k.
+
+@jit
+def derive_matrices(at, quantity, reduced, by_damping, room):
+    """Write the derivatives by Phi'K Phi, Phi'M Phi and the load into `Reduced`, and those by Phi'C Phi."""
+    like, m = in_lanes(0.0), at.m
+    left, right, own = view(room.left, like), view(room.right, like), view(room.own, like)
+    write_right(at, right)
+    for k in range(m):
+        put_number(own, k, write_differences(at, k, view(room.differences, like)))
+    width = 2 * m
+    multiply_lanes(
+        (room.right, width, 1), (room.differences, 1, width), (m, width, width), room.partners, True
+    )
+    for i in range(3):
+        target = (reduced.stiffness, by_damping, reduced.mass)[i]
+        multiply_left(at, i > 0, left)
+        multiply_lanes((room.left, width, 1), (room.partners, 1, width), (m, width, m), room.product, True)
+        if i == 2:
+            share = 1.0 if order_of(quantity) == 2 else 0.0
+            add_mass_terms(at, share, right, own, view(reduced.by_load, like), view(room.product, like))
+        put_symmetric(view(room.product, like), m, view(target, like))
+
+
+@jit
+def put_symmetric(product, m, target):
+    """Write the symmetric part of a matrix (m, m)."""
+    for r in range(m):
+        for s in range(r + 1):
+            both = 0.5 * (product[r * m + s] + product[s * m + r])
+            target[r * m + s], target[s * m + r] = both, both
+
+
+@jit
+def add_mass_terms(at, share, right, own, by_load, product):
+    """Add to the derivatives by Phi'M Phi what divided differences leave; write those by the load.
+
+    `share` is one of accelerations, which see the input itself, else zero; `own` are v_k'o_k.
     """
-    (right, load_shape, by_load), (n_sensors, quantity) = modes, request
-    m, n = pairs.poles.shape[0] // 3, load_shape.shape[0]
-    is_acceleration = order_of(quantity) == 2
-    for i in range(n):
-        total = splat(0.0)
+    m, nil = at.m, in_lanes(0.0)
+    for s in range(m):
+        total = nil
         for r in range(m):
-            square = load(pairs.poles, 3 * r + 2)
-            x = times(number(pairs.vectors, i * m + r), number(pairs.left, r), square)
-            v = number(own, r)
-            total = total - 2.0 * (x[0] * v[0] + square * (x[1] * v[1]))
-        if is_acceleration:
-            for j in range(n_sensors):
-                total = total - load(pairs.of_ground, j) * load(sensors, j * n + i)
-        store(by_load, i, total)
-    for j in range(n_sensors):
-        for k in range(n):
-            total = splat(0.0)
+            square = at.poles[3 * r + 2]
+            x = number(at.vectors, s * m + r, square) * number(at.left, r, square)
+            total = total - 2.0 * (x * number(own, r, square)).re
+        for j in range(at.s):
+            total = total - share * at.ground[j] * at.shapes[j * m + s]
+        by_load[s] = total
+    for j in range(at.s):
+        for k in range(m):
+            total = share * at.ground[j] * at.participation[k]
             for r in range(m):
-                output, x = number(pairs.sums, 2 * (j * m + r)), number(right, k * m + r)
-                total = total + output[0] * x[0] + output[1] * x[1]
-            if is_acceleration:
-                total = total + load(pairs.of_ground, j) * load(load_shape, k)
-            for i in range(n):
-                row = i * n + k
-                store(entries, row, load(entries, row) + load(sensors, j * n + i) * total)
+                row = 2 * (k * m + r)
+                total = total + at.sums[4 * (j * m + r)] * right[row]
+                total = total + at.sums[4 * (j * m + r) + 1] * right[row + 1]
+            for s in range(m):
+                product[s * m + k] = product[s * m + k] + at.shapes[j * m + s] * total

@@ -1,10 +1,9 @@
-"""Modes of many dense structures, one in each vector lane: frequencies, and the shapes times vectors.
+"""Modes of many dense structures, one in each vector lane: frequencies and shapes.
 
-Householder's reflections and QL turn only the vectors that are asked for: rows of the sensors, the load, the
-forces. Frequencies far below the largest get their digits back from Rayleigh quotients. What lanes cannot do,
-masses that are zero and frequencies that may be imaginary, is left to whoever solves one structure at a time.
-
-Symmetric matrices, one in each vector lane, made tridiagonal by Householder's reflections.
+K phi = omega^2 M phi becomes a standard problem (`matrices`), which Householder's reflections make
+tridiagonal; its eigenvalues are those of QL, and its vectors are found one by one. Frequencies far below the
+largest get their digits back from Rayleigh quotients. What lanes cannot do, masses that are zero and
+frequencies that may be imaginary, is left to whoever solves one structure at a time.
 
 Each reflection H = 1 - beta v v' changes the remaining matrix by A - v w' - w v'. That update and the product
 of the updated matrix with the next v go through memory together, which is what the time is spent on.
@@ -15,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.algebra import ROUNDING
+from pymc_features.simulators.compiled.arrays import positions
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector import (
     LANES,
@@ -26,14 +26,15 @@ from pymc_features.simulators.compiled.vector import (
     store,
     where_less,
 )
-from pymc_features.simulators.compiled.vector_memory import new_vectors, read_lanes, write_lanes
+from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.matrices import (
     assemble_lanes,
-    divide_columns,
     divide_rows,
-    divide_transposed,
     energy_lanes,
     factorise_lanes,
+    four_from,
+    four_of,
+    put_four_of,
     standard_lanes,
 )
 from pymc_features.simulators.eigen.tridiagonal import (
@@ -45,9 +46,10 @@ from pymc_features.simulators.eigen.tridiagonal import (
     has_lost,
     largest_values,
     twisted_vector,
-    values_of_lanes,
     whole_vectors,
 )
+from pymc_features.simulators.numbers.compiled_numbers import in_lanes, new_four
+from pymc_features.simulators.numbers.rows import view
 
 
 @jit
@@ -124,25 +126,8 @@ def update_and_multiply(matrix, start, vectors):
 
 
 @jit
-def turn_rows(vectors, start, v, beta, sums):
-    """Multiply columns of vectors, (n w, LANES), by the reflection; `sums` (w, LANES) are overwritten."""
-    n = v.shape[0]
-    width = vectors.shape[0] // n
-    for c in range(width):
-        store(sums, c, splat(0.0))
-    for i in range(start, n):
-        entry = load(v, i)
-        for c in range(width):
-            store(sums, c, load(sums, c) + entry * load(vectors, i * width + c))
-    for i in range(start, n):
-        entry = beta * load(v, i)
-        for c in range(width):
-            store(vectors, i * width + c, load(vectors, i * width + c) - entry * load(sums, c))
-
-
-@jit
-def tridiagonalise(matrix, diagonal, off_diagonal, vectors, room):
-    """Write the tridiagonal matrix that is similar to each symmetric one, and turn vectors with it.
+def tridiagonalise(matrix, diagonal, off_diagonal, room):
+    """Write the tridiagonal matrix that is similar to each symmetric one.
 
     Parameters
     ----------
@@ -150,14 +135,11 @@ def tridiagonalise(matrix, diagonal, off_diagonal, vectors, room):
         The lower half is read; column k below the diagonal is overwritten by v of reflection k.
     diagonal, off_diagonal : array (n, LANES)
         Written, zero behind the n - 1 entries beside the diagonal.
-    vectors : array (n w, LANES)
-        As in `tridiagonal.diagonalise_lanes`.
-    room : tuple of arrays
-        beta of all reflections, written, and room for v, w, the next v and a product, each (n, LANES), and
-        for sums (w, LANES).
+    room : tuple of arrays (n, LANES)
+        beta of all reflections, written, and room for v, w, the next v and a product.
     """
     n = diagonal.shape[0]
-    betas, v, w, u, product, sums = room
+    betas, v, w, u, product = room
     for i in range(n):
         store(v, i, splat(0.0))
         store(w, i, splat(0.0))
@@ -175,7 +157,6 @@ def tridiagonalise(matrix, diagonal, off_diagonal, vectors, room):
             here = load(u, i)
             store(w, i, beta * load(product, i) - half * here)
             store(v, i, here)
-        turn_rows(vectors, k + 1, v, beta, sums)
         first, first_w = load(v, k + 1), load(w, k + 1)
         for i in range(k + 2, n):  # the column that the next reflection is made of
             row = i * n + k + 1
@@ -205,60 +186,20 @@ def reflect_back(matrix, betas, vector):
 
 
 @jit
-def reflect_four(rows, places, v, beta, size):
-    """Multiply four vectors by reflections k and k - 1, or by k alone where it is zero.
-
-    Parameters
-    ----------
-    rows, v, beta : int
-        Addresses of the vectors, of the matrix whose columns are v, and of beta.
-    places : tuple of int
-        Where each of the four begins.
-    size : tuple of int
-        k and n.
-    """
-    (a, b, c, d), (k, n) = places, size
-    e0 = e1 = e2 = e3 = f0 = f1 = f2 = f3 = both = splat(0.0)  # v_k'x, v_(k-1)'x, v_k'v_(k-1)
-    low, is_single = max(k - 1, 0), k == 0
+def reflect_four(rows, places, v, betas, k, n):
+    """Multiply four rows, which begin at the places, by reflections k and k - 1, or by the first alone."""
+    low, like = max(k - 1, 0), in_lanes(0.0)
+    first = second = new_four(like, like, like, like)  # products with v_k and v_(k-1)
+    both = like
     for i in range(k + 1, n):
-        first, second = read_lanes(v, i * n + k), read_lanes(v, i * n + low)
-        x0, x1, x2, x3 = read_four(rows, (a + i, b + i, c + i, d + i))
-        e0, e1, e2, e3 = e0 + first * x0, e1 + first * x1, e2 + first * x2, e3 + first * x3
-        f0, f1, f2, f3 = f0 + second * x0, f1 + second * x1, f2 + second * x2, f3 + second * x3
-        both = both + first * second
-    factor = read_lanes(beta, k)
-    e0, e1, e2, e3 = factor * e0, factor * e1, factor * e2, factor * e3
-    factor, start = splat(0.0) if is_single else read_lanes(beta, low), read_lanes(v, k * n + low)
-    x0, x1, x2, x3 = read_four(rows, (a + k, b + k, c + k, d + k))
-    f0, f1 = factor * (f0 + start * x0 - both * e0), factor * (f1 + start * x1 - both * e1)
-    f2, f3 = factor * (f2 + start * x2 - both * e2), factor * (f3 + start * x3 - both * e3)
-    write_four(
-        rows,
-        (a + k, b + k, c + k, d + k),
-        (x0 - f0 * start, x1 - f1 * start, x2 - f2 * start, x3 - f3 * start),
-    )
+        here, beside, x = v[i * n + k], v[i * n + low], four_of(rows, places, i)
+        first, second, both = first + here * x, second + beside * x, both + here * beside
+    first, start, x = betas[k] * first, v[k * n + low], four_of(rows, places, k)
+    second = (like if k == 0 else betas[low]) * (second + start * x - both * first)
+    put_four_of(rows, places, k, x - start * second)
     for i in range(k + 1, n):
-        first, second = read_lanes(v, i * n + k), read_lanes(v, i * n + low)
-        x0, x1, x2, x3 = read_four(rows, (a + i, b + i, c + i, d + i))
-        x0, x1 = x0 - e0 * first - f0 * second, x1 - e1 * first - f1 * second
-        x2, x3 = x2 - e2 * first - f2 * second, x3 - e3 * first - f3 * second
-        write_four(rows, (a + i, b + i, c + i, d + i), (x0, x1, x2, x3))
-
-
-@jit
-def read_four(address, places):
-    """Four vectors."""
-    a, b, c, d = places
-    return read_lanes(address, a), read_lanes(address, b), read_lanes(address, c), read_lanes(address, d)
-
-
-@jit
-def write_four(address, places, vectors):
-    """Write four vectors."""
-    write_lanes(address, places[0], vectors[0])
-    write_lanes(address, places[1], vectors[1])
-    write_lanes(address, places[2], vectors[2])
-    write_lanes(address, places[3], vectors[3])
+        x = four_of(rows, places, i) - v[i * n + k] * first - v[i * n + low] * second
+        put_four_of(rows, places, i, x)
 
 
 @jit
@@ -267,11 +208,12 @@ def reflect_rows(matrix, betas, vectors):
 
     Reflections k and k - 1 go through memory together; what would follow the last one is none.
     """
-    n, rows, v, beta = betas.shape[0], vectors.ctypes.data, matrix.ctypes.data, betas.ctypes.data
-    for r in range(0, n, 4):  # what stands behind the last row repeats it
-        a, b, c, d = n * r, n * min(r + 1, n - 1), n * min(r + 2, n - 1), n * min(r + 3, n - 1)
+    n, like = betas.shape[0], in_lanes(0.0)
+    rows, v, beta = view(vectors, like), view(matrix, like), view(betas, like)
+    for r in range(0, n, 4):
+        places = four_from(r, n, n - 1)
         for k in range(n - 3, -1, -2):
-            reflect_four(rows, (a, b, c, d), v, beta, (k, n))
+            reflect_four(rows, places, v, beta, k, n)
 
 
 class StructureLanes(NamedTuple):
@@ -282,67 +224,58 @@ class StructureLanes(NamedTuple):
     is_good : bool array (LANES,)
         Lanes that came out right; the others must be solved alone.
     theta : array (p, LANES)
-    stiffness, factor, reduced : array (n n, LANES)
-        K, the Cholesky factor of M, and A.
-    diagonal, off_diagonal, values, work : array (n, LANES)
-        Of the tridiagonal matrix, omega^2, and what QL overwrites.
-    vectors : array (n w, LANES)
-        Products of mode i with w vectors, in rows i w ...
+    mass, stiffness, factor, reduced : array (n n, LANES)
+        M and K, of which the lower half is written, the Cholesky factor of M, and A.
+    diagonal, off_diagonal, work : array (n, LANES)
+        Of the tridiagonal matrix, and what QL overwrites.
+    values, rows : array (n, LANES), (n n, LANES)
+        omega^2, ascending, and the mode shapes in rows.
     pivots, shape : array (2 n, LANES), (n, LANES)
-    rows : array (n n, LANES)
-        Mode shapes, where w is at least n: all are found then, and multiplied.
     room : tuple of arrays
-        See `reflections.tridiagonalise`.
+        See `tridiagonalise`.
     """
 
     is_good: np.ndarray
     theta: np.ndarray
+    mass: np.ndarray
     stiffness: np.ndarray
     factor: np.ndarray
     reduced: np.ndarray
     diagonal: np.ndarray
     off_diagonal: np.ndarray
-    values: np.ndarray
     work: np.ndarray
-    vectors: np.ndarray
+    values: np.ndarray
+    rows: np.ndarray
     pivots: np.ndarray
     shape: np.ndarray
-    rows: np.ndarray
     room: tuple
 
 
 @jit
-def new_structures(n, n_theta, width):
-    """Room for structures of n degrees of freedom and products with `width` vectors."""
-    room = (
-        new_vectors(n),
-        new_vectors(n),
-        new_vectors(n),
-        new_vectors(n),
-        new_vectors(n),
-        new_vectors(width),
-    )
+def new_structures(n, n_theta):
+    """Room for structures of n degrees of freedom."""
+    room = new_vectors(n), new_vectors(n), new_vectors(n), new_vectors(n), new_vectors(n)
     return StructureLanes(
         is_good=np.zeros(LANES, dtype=np.bool_),
         theta=new_vectors(n_theta),
+        mass=new_vectors(n * n),
         stiffness=new_vectors(n * n),
         factor=new_vectors(n * n),
         reduced=new_vectors(n * n),
         diagonal=new_vectors(n),
         off_diagonal=new_vectors(n),
-        values=new_vectors(n),
         work=new_vectors(n),
-        vectors=new_vectors(n * width),
+        values=new_vectors(n),
+        rows=new_vectors(n * n),
         pivots=new_vectors(2 * n),
         shape=new_vectors(n),
-        rows=new_vectors(n * n if width >= n else 0),
         room=room,
     )
 
 
 @jit
-def solve_structures(lanes, stacks, is_diagonal, columns):
-    """Write omega^2 and the products of the mode shapes with vectors, and which lanes are good.
+def solve_structures(lanes, stacks, is_diagonal):
+    """Write omega^2 and the mode shapes, and which lanes are good.
 
     Parameters
     ----------
@@ -352,22 +285,17 @@ def solve_structures(lanes, stacks, is_diagonal, columns):
         Of M and K.
     is_diagonal : bool
         Whether M is diagonal.
-    columns : tuple of arrays (n, w), (n,)
-        The vectors, and influences; column w - 1 takes M influence besides.
     """
-    n, width, (mass, stiffness) = lanes.diagonal.shape[0], columns[0].shape[1], stacks
-    assemble_lanes(mass, lanes.theta, n, False, lanes.factor)
+    n, (mass, stiffness) = lanes.diagonal.shape[0], stacks
+    assemble_lanes(mass, lanes.theta, n, False, lanes.mass)
     assemble_lanes(stiffness, lanes.theta, n, False, lanes.stiffness)
+    for e in range(n * n):
+        store(lanes.factor, e, load(lanes.mass, e))
     factorise_lanes(lanes.factor, n, is_diagonal)
     standard_lanes(lanes.stiffness, lanes.factor, n, is_diagonal, lanes.reduced)
-    forward = lanes.vectors if width < n else lanes.vectors[:0]
-    if width < n:
-        start_products(lanes, columns, is_diagonal)
-    tridiagonalise(lanes.reduced, lanes.diagonal, lanes.off_diagonal, forward, lanes.room)
-    converged = diagonalise(lanes, forward) if width < n else find_values(lanes)
-    if width >= n and converged:
-        converged = find_shapes(lanes)
-        multiply_shapes(lanes, columns, is_diagonal)
+    tridiagonalise(lanes.reduced, lanes.diagonal, lanes.off_diagonal, lanes.room)
+    converged = diagonalise(lanes, lanes.rows[:0]) and find_shapes(lanes)
+    divide_rows(lanes.factor, n, is_diagonal, lanes.rows)
     largest = largest_values(lanes.values)
     for r in range(n):
         if highest(has_lost(load(lanes.values, r), largest)) > 0.0:
@@ -376,6 +304,8 @@ def solve_structures(lanes, stacks, is_diagonal, columns):
         lanes.is_good[lane] = converged
         for r in range(n):  # NaN and infinity too
             lanes.is_good[lane] &= 0.0 <= lanes.values[r, lane] < np.inf
+        if lanes.is_good[lane]:
+            sort_modes(lanes, lane)
 
 
 @jit
@@ -388,43 +318,9 @@ def diagonalise(lanes, vectors):
 
 
 @jit
-def find_values(lanes):
-    """Write omega^2 of the tridiagonal matrices; False if that fails."""
-    for i in range(lanes.diagonal.shape[0]):
-        entry = load(lanes.off_diagonal, i)
-        store(lanes.values, i, load(lanes.diagonal, i))
-        store(lanes.work, i, entry * entry)
-    return values_of_lanes(lanes.values, lanes.work)
-
-
-@jit
-def start_products(lanes, columns, is_diagonal):
-    """Write F^-1 times the vectors, for reflections and QL to turn."""
-    (fixed, influence), n = columns, lanes.diagonal.shape[0]
-    width = fixed.shape[1]
-    for i in range(n):
-        for c in range(width):
-            store(lanes.vectors, i * width + c, splat(fixed[i, c]))
-    divide_columns(lanes.factor, n, is_diagonal, lanes.vectors)
-    for i in range(n):
-        row = i * width + width - 1
-        store(lanes.vectors, row, load(lanes.vectors, row) + moved_mass(lanes, i, influence, is_diagonal))
-
-
-@jit
-def moved_mass(lanes, i, influence, is_diagonal):
-    """Entry i of F^-1 M influence = F' influence."""
-    total, n = splat(0.0), lanes.diagonal.shape[0]
-    for k in range(i, i + 1 if is_diagonal else n):
-        total = total + load(lanes.factor, k * n + i) * influence[k]
-    return total
-
-
-@jit
 def find_shapes(lanes):
     """Write the eigenvectors of A into `lanes.rows`, one by one: QL takes longer; False if that fails."""
     n, rows, converged = lanes.diagonal.shape[0], lanes.rows, True
-    sort_lanes(lanes.values)
     if are_apart(lanes.values):
         whole_vectors(lanes.diagonal, lanes.off_diagonal, lanes.values, lanes.pivots, lanes.shape, rows)
     else:
@@ -436,46 +332,21 @@ def find_shapes(lanes):
 
 
 @jit
-def sort_lanes(values):
-    """Sort the numbers (n, LANES) of each lane."""
-    for lane in range(LANES):
-        for i in range(1, values.shape[0]):
-            value, k = values[i, lane], i
-            while k > 0 and values[k - 1, lane] > value:
-                values[k, lane] = values[k - 1, lane]
-                k -= 1
-            values[k, lane] = value
-
-
-@jit
-def multiply_shapes(lanes, columns, is_diagonal):
-    """Turn the eigenvectors of A into mode shapes, and write their products with the vectors."""
-    (fixed, influence), n, rows, vectors = columns, lanes.diagonal.shape[0], lanes.rows, lanes.vectors
-    width, inverses = fixed.shape[1], lanes.shape
-    for i in range(n):
-        store(lanes.pivots, i, moved_mass(lanes, i, influence, is_diagonal))
-        store(inverses, i, splat(1.0) / load(lanes.factor, i * n + i))
+def sort_modes(lanes, lane):
+    """Bring the modes of a lane into ascending order, which they have nearly always."""
+    n = lanes.values.shape[0]
+    is_in_order = True
+    for r in range(1, n):
+        is_in_order &= lanes.values[r - 1, lane] <= lanes.values[r, lane]
+    if is_in_order:
+        return
+    order = np.empty(n, dtype=np.int64)
+    positions(lanes.values, lane, order)
+    values, rows = lanes.values[:, lane].copy(), lanes.rows[:, lane].copy()
     for r in range(n):
-        share = splat(0.0)
+        lanes.values[r, lane] = values[order[r]]
         for i in range(n):
-            entry = load(rows, r * n + i)
-            share = share + entry * load(lanes.pivots, i)
-            if is_diagonal:
-                store(rows, r * n + i, entry * load(inverses, i))
-        for c in range(width):
-            store(vectors, r * width + c, share if c == width - 1 else splat(0.0))
-    if not is_diagonal:
-        divide_rows(lanes.factor, n, rows)
-    places, count = np.empty((n * width, 2), dtype=np.int64), 0
-    for i in range(n):
-        for c in range(width):
-            if fixed[i, c] != 0.0:
-                places[count, 0], places[count, 1], count = i, c, count + 1
-    for r in range(n):
-        for place in range(count):
-            i, c = places[place]
-            row = r * width + c
-            store(vectors, row, load(vectors, row) + load(rows, r * n + i) * fixed[i, c])
+            lanes.rows[r * n + i, lane] = rows[order[r] * n + i]
 
 
 @jit
@@ -494,7 +365,7 @@ def improve_value(lanes, r, largest, is_diagonal):
             entry = load(lanes.shape, i)
             inertia = inertia + entry * entry
         reflect_back(lanes.reduced, lanes.room[0], lanes.shape)
-        divide_transposed(lanes.factor, n, is_diagonal, lanes.shape)
+        divide_rows(lanes.factor, n, is_diagonal, lanes.shape)
         energy, terms = energy_lanes(lanes.stiffness, lanes.shape)
         energy = where_less(magnitude(energy), ROUNDING * terms, splat(0.0), energy)
         quotient = energy / inertia

@@ -7,9 +7,9 @@ cost does not grow with the number of parameters but for one product with the st
 import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
-from pymc_features.simulators.eigen.coupled_gradients import add_coupled_gradients
 from pymc_features.simulators.linear import oscillators, state_space
 from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
+from pymc_features.simulators.linear.coupled import add_coupled_gradients
 from pymc_features.simulators.linear.dense_structures import (
     add_dense_gradient,
     add_dense_gradients,
@@ -66,14 +66,13 @@ def linear_population_gradient(parameters, excitation, wanted, observed, weights
     a._replace(parameters=first).check(observed, weights[0])
     if first.is_dense and first.is_classical:
         kernel = parameters.for_kernel()
-        if weights.shape[2] == 1 and excitation.acceleration.shape[0] == 1:
+        if weights.shape[2] == 1:
             data = writable(observed), writable(weights)
             add_dense_gradients(kernel, a.inputs, a.outputs, *data, sums)
             return sums
-        alone = kernel.one_of(0)  # of one axis, as of a single structure: no other machine code
         for p in range(count):
-            own, part = (tuple(x[p % len(x)] for x in arrays) for arrays in (kernel.random, sums))
-            add_alone(a, alone, own, observed, weights[p], part)
+            one, part = kernel.one_of(p).as_population(), tuple(x[p % len(x)][None] for x in sums)
+            add_alone(a, one, observed, weights[p], part)
         return sums
     is_done = np.zeros(count, dtype=bool)
     if in_complex_modes(a._replace(parameters=first), weights):
@@ -105,34 +104,33 @@ def in_complex_modes(a, weights) -> bool:
     return is_simple and is_whole and is_known and is_symmetric(given.damping, given.n_dof)
 
 
-def add_alone(a, kernel, own, observed, weights, sums):
-    """Add the gradient of a dense structure by e_j (s, 1), or by all statistics (s, 4), from its response."""
-    data, is_given = writable(observed), weights.shape[1] > 1
-    history = np.empty(data.shape) if is_given else data
-    if is_given:
-        evaluate_structure(kernel, own, a.inputs, a.outputs, data, history)
+def add_alone(a, kernel, history, weights, sums):
+    """Add the gradient of a population of one dense structure by sum w y, w the history, or by the misfit.
+
+    The latter by e_j alone, weights (s, 1), or by all statistics (s, 4), from its response.
+    """
+    history, is_given = writable(history), weights is None or weights.shape[1] > 1
+    if weights is None:
+        weights = np.zeros((len(history), 1))
+    elif is_given:
+        data, history = history, np.empty(history.shape)
+        evaluate_structure(kernel, a.inputs, a.outputs, data, history)
         weigh_history(history, data, writable(weights))
-    factors = writable(weights[:, :1])
-    add_dense_gradient(kernel, own, a.inputs, a.outputs, history, factors, is_given, sums)
+    factors = writable(weights[None, :, :1])
+    add_dense_gradient(kernel, a.inputs, a.outputs, history, factors, is_given, sums)
 
 
 def gradient(a, history, weights):
     """Gradient of sum w y, w the `history`, or of the misfit's statistics with `weights` and the data."""
     given = a.parameters
+    sums, kernel = tuple(np.zeros(array.shape) for array in given.random), given.as_population().for_kernel()
+    each = tuple(total[None] for total in sums)
     if given.is_dense and given.is_classical:
-        sums = tuple(np.zeros(array.shape) for array in given.random)
-        kernel = given.for_kernel()
-        if weights is None:
-            whole = kernel, kernel.random, a.inputs, a.outputs, writable(history)
-            add_dense_gradient(*whole, np.zeros((len(history), 1)), True, sums)
-        else:
-            add_alone(a, kernel, kernel.random, history, weights, sums)
+        add_alone(a, kernel, history, weights, each)
         return sums
     if weights is not None and in_complex_modes(a, weights):
-        one = given._replace(**{name: getattr(given, name)[None] for name in ("theta", "rayleigh", "ratios")})
-        sums, data = tuple(np.zeros(array.shape) for array in given.random), writable(history)
-        kernel = one.for_kernel(), a.inputs, a.outputs, data, writable(weights[None])
-        if add_coupled_gradients(*kernel, sums[0][None])[0]:
+        data = writable(history), writable(weights[None])
+        if add_coupled_gradients(kernel, a.inputs, a.outputs, *data, each[0])[0]:
             return sums
     return gradient_of(*solved_alone(a, left_out=True), history, weights)
 

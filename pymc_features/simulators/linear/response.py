@@ -8,8 +8,8 @@ singular on the same motion, M(theta) has fewer modes than are kept, or the damp
 import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
-from pymc_features.simulators.eigen.coupled import march_coupled
 from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
+from pymc_features.simulators.linear.coupled import march_coupled
 from pymc_features.simulators.linear.dense_structures import (
     dense_statistics,
     dense_systems,
@@ -66,8 +66,8 @@ def solve(a, observed):
     if not (a.parameters.is_dense and a.parameters.is_classical):
         return evaluate(*solved_alone(a), observed)
     observed, history = data_or_history(a, observed)
-    kernel = a.parameters.for_kernel()
-    sums = evaluate_structure(kernel, kernel.random, a.inputs, a.outputs, observed, history)
+    kernel = a.parameters.as_population().for_kernel()
+    sums = evaluate_structure(kernel, a.inputs, a.outputs, observed, history)
     return history if history.size else sums
 
 
@@ -111,22 +111,23 @@ def march_population(a: Arguments, observed, n_statistics):
     """Misfits (p, s, 1 or 4) of all particles."""
     count, shared = n_particles(a.parameters), a._replace(parameters=a.parameters.one_of(0))
     shared.check(observed)
-    observed, given, one_input = (
-        writable(observed),
-        shared.parameters,
-        a.excitation.acceleration.shape[0] == 1,
-    )
-    if given.is_dense and given.is_classical and one_input:
+    observed, given = writable(observed), shared.parameters
+    if given.is_dense and given.is_classical:
         return dense_statistics(a.parameters.for_kernel(), a.inputs, a.outputs, observed, n_statistics)
-    result, is_written = np.full((count, a.shape[0], n_statistics), np.nan), np.zeros(count)
-    if given.is_dense and one_input and is_symmetric(given.damping, given.n_dof):
+    result, is_written = np.full((count, a.shape[0], n_statistics), np.nan), np.zeros(count, dtype=bool)
+    if has_pairs(shared):
         kernel = a.parameters.for_kernel()
         result, is_written = march_coupled(kernel, a.inputs, a.outputs, observed, n_statistics)
-        result, is_written = np.resize(result, (count, *result.shape[1:])), np.resize(is_written, count)
-    for p, own, system in solved(a, np.flatnonzero(~is_written.astype(bool))):
+    for p, own, system in solved(a, np.flatnonzero(~is_written)):
         if system is not None:
             result[p] = evaluate(own, system, observed)[:, :n_statistics]
     return result
+
+
+def has_pairs(a: Arguments) -> bool:
+    """Whether complex modes in lanes are tried: of one input, and a full, symmetric C."""
+    given, one_input = a.parameters, a.excitation.acceleration.shape[0] == 1
+    return given.is_dense and one_input and is_symmetric(given.damping, given.n_dof)
 
 
 def linear_systems(parameters, excitation, wanted, observed) -> Systems | None:

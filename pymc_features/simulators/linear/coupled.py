@@ -1,0 +1,271 @@
+"""Dense structures whose damping is a matrix, by complex modes in lanes: misfits and gradients.
+
+Their classical modes are those of `dense_structures`; what follows from the complex ones is brought back to
+these, and from there to theta as with classical damping.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pymc_features.algebra import ZERO_STIFFNESS
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.compiled.vector_memory import new_vectors
+from pymc_features.simulators.eigen.complex_modes import PairArrays, Pairs, find_pairs, new_pairs
+from pymc_features.simulators.eigen.matrices import (
+    assemble_lanes,
+    factorise_lanes,
+    filled_places,
+    is_never_negative,
+    multiply_lanes,
+    multiply_sparse,
+)
+from pymc_features.simulators.eigen.pair_gradients import (
+    complete_sums,
+    derive_matrices,
+    new_pair_room,
+    poles_apart,
+)
+from pymc_features.simulators.linear.dense_structures import (
+    DenseLanes,
+    n_structures,
+    new_dense,
+    new_gradients,
+    new_together,
+    solve_together,
+)
+from pymc_features.simulators.numbers.compiled_numbers import (
+    in_lanes,
+    larger,
+    magnitude,
+    new_dual,
+    where_less,
+)
+from pymc_features.simulators.numbers.rows import view
+from pymc_features.simulators.oscillators.march import evaluate, new_walk
+from pymc_features.simulators.oscillators.modal_lanes import ModalLanes, clear, new_modal_lanes, new_rows
+from pymc_features.simulators.oscillators.modal_system import highest_coupled_step
+from pymc_features.simulators.oscillators.reduction import bring
+from pymc_features.simulators.oscillators.samples import of_population
+from pymc_features.simulators.oscillators.spread import add_terms, spread_to_theta, terms_of
+from pymc_features.simulators.oscillators.sums import new_gradient_walk, sum_history
+
+FEW = 0.3  # share of the entries of C below which those that are zero are passed over
+# Residues above that many times the classical ones: two modes, or both of a pair, coalesce. Derivatives lose
+# digits by the third power of it.
+CANCELLING, CANCELLING_SLOPES = 1e5, 100.0
+
+
+class CoupledLanes(NamedTuple):
+    """Structures with coupled damping in lanes.
+
+    Attributes
+    ----------
+    dense : DenseLanes
+        With their classical modes.
+    lot : ModalLanes
+        Of the pairs of complex modes, each twice.
+    arrays, pairs : PairArrays, Pairs
+    damping, half : array (n n, LANES), (m n, LANES)
+        C, and Phi'C.
+    places : tuple of arrays
+        See `filled_places`.
+    is_safe : bool
+        Whether no eigenvalue of C can be negative.
+    highest : float
+        omega and D from where a mode is too fast to be stepped [1/s].
+    """
+
+    dense: DenseLanes
+    lot: ModalLanes
+    arrays: PairArrays
+    pairs: Pairs
+    damping: np.ndarray
+    half: np.ndarray
+    places: tuple
+    is_safe: bool
+    highest: float
+
+
+@jit
+def new_coupled(parameters, excitation, wanted, with_gradients, room, samples, widths):
+    """Lanes for structures; `room` is for their eigenproblems."""
+    dense = new_dense(parameters, excitation, wanted, with_gradients, room, samples, widths)
+    (s, n), m, step = wanted.sensors.shape, wanted.n_modes, excitation.dt / excitation.substeps
+    sizes, request = (2 * m, 2 * m, 2 * m, s), (step, wanted.quantity)
+    lot = new_modal_lanes(sizes, dense.lot.motion, (False, True), samples, request, widths)
+    arrays, pairs = new_pairs(dense.lot, with_gradients)
+    return CoupledLanes(
+        dense,
+        lot,
+        arrays,
+        pairs,
+        new_vectors(n * n),
+        new_vectors(m * n),
+        filled_places(parameters.damping, n),
+        is_never_negative(parameters.damping, n),
+        highest_coupled_step(excitation) / step,
+    )
+
+
+@jit
+def solve_coupled(lanes, room, parameters, wanted, place, cancelling, widths):
+    """Find the complex modes of structures `first` ... of `count`; returns one in lanes that came out right.
+
+    `cancelling` is that of `find_pairs`.
+    """
+    dense, at, lot, like = lanes.dense, lanes.pairs, lanes.lot, widths.structure
+    solve_together(dense, room, parameters, wanted, place)
+    n, present = wanted.sensors.shape[1], new_vectors(1)
+    for lane in range(lot.is_there.size):
+        present[0, lane] = 1.0 if dense.lot.is_there[lane] else 0.0
+        for r in range(at.m):
+            lanes.arrays.omega[r, lane] = np.sqrt(dense.lot.squares[r, lane])
+    assemble_lanes(parameters.damping, room.structures.theta, n, True, lanes.damping)
+    project(lanes, n)
+    good = check_damping(lanes, room.structures.mass, view(present, like)[0])
+    write_forced(lanes)
+    return find_pairs(lot, at, good, cancelling)
+
+
+@jit
+def keep_lanes(lanes, good):
+    """Write which lanes have pairs, those where `good` is positive, and empty the others."""
+    lot, present = lanes.lot, new_vectors(1)
+    view(present, good)[0] = good
+    for lane in range(lot.is_there.size):
+        lot.is_there[lane] = present[0, lane] > 0.0
+        if not lot.is_there[lane]:
+            clear(lot, lane)
+        for r in range(lot.n_modes if lot.is_there[lane] else 0):
+            lot.moves[r, lane] = lot.participation[r, lane] = 1.0
+
+
+@jit
+def project(lanes, n):
+    """Write D = Phi'C Phi; C (n n, LANES) is zero but at `filled_places`."""
+    rows, m = (lanes.dense.rows, n, 1), lanes.pairs.m
+    if lanes.places[1].size < FEW * n * n:
+        multiply_sparse(rows, lanes.damping, lanes.places, (m, n), lanes.half)
+    else:
+        multiply_lanes(rows, (lanes.damping, n, 1), (m, n, n), lanes.half, True)
+    transposed = lanes.dense.rows, 1, n
+    multiply_lanes((lanes.half, n, 1), transposed, (m, n, m), lanes.arrays.damping, False)
+
+
+@jit
+def check_damping(lanes, mass, good):
+    """Take the lanes out of the good ones where D has a negative eigenvalue, or a mode is too fast."""
+    at, stiffest, m = lanes.pairs, in_lanes(0.0), lanes.pairs.m
+    for r in range(m):
+        stiffest = larger(stiffest, larger(at.omega[r], at.damping[r * m + r]))
+    good = where_less(stiffest, lanes.highest, good, 0.0)
+    return good if lanes.is_safe else check_sign(lanes, mass, good)
+
+
+@jit
+def write_forced(lanes):
+    """Write S iota less S Phi Gamma at the sensors; with all modes it is known without its rounding error."""
+    dense, at, like = lanes.dense.lot, lanes.pairs, in_lanes(0.0)
+    forced, by_forces = view(lanes.lot.forced, like), view(dense.forced, like)
+    for j in range(at.s):
+        total = dense.motion[j, 0] + like
+        for r in range(at.m):
+            total = total - at.shapes[j * at.m + r] * at.participation[r]
+        forced[j] = by_forces[j] if dense.is_complete else total
+
+
+@jit
+def check_sign(lanes, mass, good):
+    """Take the lanes out of the good ones where D has a negative eigenvalue; M by its lower half."""
+    at, nil, room = lanes.pairs, in_lanes(0.0), new_vectors(lanes.arrays.damping.shape[0])
+    inertia = drag = nil
+    n, shifted = int(np.sqrt(mass.shape[0])), view(room, nil)
+    for i in range(n):
+        inertia = inertia + view(mass, nil)[i * n + i]
+        drag = drag + view(lanes.damping, nil)[i * n + i]
+    ratio = magnitude(drag) / inertia
+    shift = ZERO_STIFFNESS * where_less(0.0, ratio, ratio, 1.0)
+    for r in range(at.m):
+        for s in range(r + 1):
+            shifted[r * at.m + s] = at.damping[r * at.m + s] + (shift if r == s else nil)
+    factorise_lanes(room, at.m, False)
+    return where_less(0.0, shifted[at.m * at.m - 1], good, 0.0)
+
+
+@jit
+def march_coupled(parameters, excitation, wanted, observed, n_statistics):
+    """Misfits of the particles whose complex modes come out right, NaN of the others, and which those are.
+
+    Parameters
+    ----------
+    parameters : LinearParameters
+        theta (p or 1, k); dense matrices, C symmetric.
+    excitation : Excitation
+        With one input (1, t).
+    wanted : Outputs
+    observed : array (s, u)
+        Data.
+    n_statistics : int
+        One for e_j, or four.
+
+    Returns
+    -------
+    array (p, s, n_statistics)
+    bool array (p,)
+        Whether they are written. The others may be invalid, or have modes that coalesce.
+    """
+    count, (s, n_times), widths = n_structures(parameters), observed.shape, of_population()
+    result, history = np.empty((count, s, n_statistics)), np.empty((0, 0))
+    is_written, room = np.zeros(count, dtype=np.bool_), new_together(parameters)
+    walk = new_walk(excitation, observed, n_times, 2 * wanted.n_modes, s, widths)
+    lanes = new_coupled(parameters, excitation, wanted, False, room, walk.samples, widths)
+    for first in range(0, count, lanes.lot.is_there.size):
+        place = first, count
+        keep_lanes(lanes, solve_coupled(lanes, room, parameters, wanted, place, CANCELLING, widths))
+        evaluate(lanes.lot, walk, history, first, result, widths)
+        for lane in range(min(lanes.lot.is_there.size, count - first)):
+            is_written[first + lane] = lanes.lot.is_there[lane]
+    return result, is_written
+
+
+@jit
+def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gradient):
+    """Add the gradients by theta of the weighted e_j, of the particles whose complex modes come out right.
+
+    Parameters as in `march_coupled`, of all modes, and these:
+
+    weights : array (p, s, 1)
+    gradient : array (p or 1, k)
+        Updated.
+
+    Returns
+    -------
+    bool array (p,)
+        Which particles are done. The others may be invalid, or have poles that are close.
+    """
+    n, count, widths = wanted.n_modes, weights.shape[0], of_population()
+    is_done, like = np.zeros(count, dtype=np.bool_), widths.wide
+    walk = new_gradient_walk(excitation, observed, False, True, 2 * n, new_dual(like, like, like), widths)
+    room = new_together(parameters)
+    lanes = new_coupled(parameters, excitation, wanted, True, room, walk.samples, widths)
+    dense, lot, at = lanes.dense, lanes.lot, lanes.pairs
+    found = new_gradients(dense, parameters, widths)
+    terms, by_damping, matrices = terms_of(parameters.damping, n), new_rows(n * n + 4, like), new_pair_room(n)
+    duration = observed.shape[1] * excitation.stride * lot.step
+    for first in range(0, count, lot.is_there.size):
+        good = solve_coupled(lanes, room, parameters, wanted, (first, count), CANCELLING_SLOPES, widths)
+        keep_lanes(lanes, good * poles_apart(at, duration))
+        bring(lot, walk, weights, first)
+        sum_history(lot, walk, widths)
+        complete_sums(at, lot, walk.found)
+        derive_matrices(at, wanted.quantity, found.reduced, by_damping, matrices)
+        spread, own = found.spread, parameters.influence
+        spread_to_theta(dense.lot, found.reduced, found.stiffness, found.mass, own, spread, widths)
+        by_modes, rows = view(by_damping, like), view(dense.lot.at, like)
+        add_terms(terms, by_modes, rows, dense.lot, spread, own, False, widths)
+        for lane in range(lot.is_there.size):
+            if lot.is_there[lane]:
+                is_done[first + lane] = True
+                gradient[(first + lane) % gradient.shape[0]] += found.spread.by_theta[:, lane]
+    return is_done
