@@ -1,4 +1,4 @@
-"""Vector lanes: eigenvalues of many matrices, the sign of damping, and steps of a lone structure's modes."""
+"""Vector lanes: eigenvalues of many matrices, and steps of a lone structure's modes."""
 
 import itertools
 
@@ -8,7 +8,6 @@ from scipy.linalg import eigh_tridiagonal
 
 from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.compiled.vector_memory import new_vectors
-from pymc_features.simulators.eigen.matrices import is_never_negative
 from pymc_features.simulators.eigen.tridiagonal import diagonalise_lanes
 from pymc_features.simulators.oscillators.table import (
     N_ROWS,
@@ -27,7 +26,7 @@ from pymc_features.simulators.oscillators.table import (
     whole_vectors,
     write_table,
 )
-from support.linear import noise, spring_chain
+from support.linear import noise
 
 
 def in_lanes(arrays):
@@ -63,25 +62,6 @@ def test_values_of_tridiagonal_matrices(n, scale):
         np.testing.assert_allclose(
             np.sort(values[:, lane]), exact, rtol=0, atol=1e-15 * n * abs(exact).max() + 1e-300
         )
-
-
-DEFINITE = spring_chain(4, 2.0).toarray()
-SIGNS = {
-    "definite": ([DEFINITE], True),
-    "one dashpot": ([np.diag([0.0, 0.0, 2.0, 0.0])], True),
-    "free, in doubt": ([spring_chain(4, 2.0, free=True).toarray()], False),
-    "negative": ([DEFINITE - np.diag([0.0, 0.0, 0.0, 2.0])], False),
-    "zero with neighbours": ([np.array([[0.0, 1.0], [1.0, 2.0]])], False),
-    "no numbers": ([np.nan * DEFINITE], False),
-    "varied": ([DEFINITE, DEFINITE], False),
-}
-
-
-@pytest.mark.parametrize(("stack", "expected"), SIGNS.values(), ids=SIGNS)
-def test_damping_that_is_never_negative(stack, expected):
-    """Only of a C that is the same for all, and where rounding leaves no doubt."""
-    n = len(stack[0])
-    assert is_never_negative(np.array(stack).reshape(len(stack), -1), n) == expected
 
 
 BEHIND = np.full(2 * LANES, 7.0)  # what must not be written to

@@ -3,11 +3,8 @@
 K phi = omega^2 M phi becomes the standard problem of A = F^-1 K F^-T, F F' = M; where M is diagonal F is its
 root. Matrices (n n, LANES) have their entries in C order, of which the lower half counts.
 
-Products go in blocks of four rows, which stay in registers. Of damping matrices it is known where all are
-zero, and whether they are positive.
+Products go in blocks of four rows and columns, which stay in registers.
 """
-
-import numpy as np
 
 from pymc_features.algebra import MASSLESS
 from pymc_features.simulators.compiled.jit import jit
@@ -154,7 +151,7 @@ def energy_lanes(stiffness, shape):
 
 
 @jit
-def multiply_lanes(left, right, sizes, out, whole):
+def multiply_lanes(left, right, sizes, out):
     """Write a product of two matrices, in blocks of four rows and columns.
 
     Parameters
@@ -165,15 +162,13 @@ def multiply_lanes(left, right, sizes, out, whole):
         Rows of the left matrix, its columns, and columns of the right one.
     out : array (.., LANES)
         Written in C order.
-    whole : bool
-        False of a product that is symmetric: its upper half is then copied from the lower one.
     """
     (x, x_down, x_along), (y, y_down, y_along), (n, inner, m) = left, right, sizes
     like = in_lanes(0.0)
     x, y, product = view(x, like), view(y, like), view(out, like)
     for r in range(0, n, 4):
         lines, rows = four_from(r, x_down, n - 1), four_from(r, m, n - 1)
-        for s in range(0, m if whole else min(r + 4, m), 4):
+        for s in range(0, m, 4):
             columns, places = four_from(s, y_along, m - 1), four_from(s, 1, m - 1)
             a = b = c = d = new_four(like, like, like, like)
             for i in range(inner):
@@ -184,67 +179,3 @@ def multiply_lanes(left, right, sizes, out, whole):
             put_four_of(product, places, rows[1], b)
             put_four_of(product, places, rows[2], c)
             put_four_of(product, places, rows[3], d)
-    for r in range(0 if whole else n):
-        for s in range(r):
-            product[s * m + r] = product[r * m + s]
-
-
-POSITIVE = 1e-12  # a pivot above that share of its diagonal entry is positive in spite of rounding
-
-
-@jit
-def is_never_negative(stack, n):
-    """Whether C, a stack (terms, n n), does not depend on theta and has no negative eigenvalue.
-
-    By its Cholesky factor; rows that are zero are passed over. False if rounding leaves a doubt.
-    """
-    matrix = stack[0].copy().reshape((n, n))
-    for j in range(n):
-        whole = matrix[j, j]
-        for k in range(j):
-            matrix[j, j] -= matrix[j, k] ** 2
-        if whole == 0.0 and not np.any(matrix[j]) and not np.any(matrix[:, j]):
-            continue
-        if not matrix[j, j] > POSITIVE * whole:
-            return False
-        matrix[j, j] = np.sqrt(matrix[j, j])
-        for i in range(j + 1, n):
-            for k in range(j):
-                matrix[i, j] -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] /= matrix[j, j]
-    return stack.shape[0] == 1
-
-
-@jit
-def filled_places(stack, n):
-    """Places of non-zeros of a stack (terms, n n): row after row of column j from `starts[j]` on.
-
-    Returns
-    -------
-    starts, rows : integer arrays (n + 1,) and as many as there are places
-    """
-    starts, rows, count = np.zeros(n + 1, dtype=np.int64), np.empty(n * n, dtype=np.int64), 0
-    for j in range(n):
-        for i in range(n):
-            for term in range(stack.shape[0]):
-                if stack[term, i * n + j] != 0.0:
-                    rows[count], count = i, count + 1
-                    break
-        starts[j + 1] = count
-    return starts, rows[:count]
-
-
-@jit
-def multiply_sparse(left, right, places, sizes, out):
-    """Product with a right matrix (inner m, LANES) that is zero but at `filled_places`."""
-    (x, x_down, x_along), (starts, filled), (n, m) = left, places, sizes
-    like = in_lanes(0.0)
-    x, y, product = view(x, like), view(right, like), view(out, like)
-    for r in range(0, n, 4):
-        lines, rows = four_from(r, x_down, n - 1), four_from(r, m, n - 1)
-        for j in range(m):
-            total = new_four(like, like, like, like)
-            for place in range(starts[j], starts[j + 1]):
-                i = filled[place]
-                total = total + y[i * m + j] * four_of(x, lines, i * x_along)
-            put_four_of(product, rows, j, total)

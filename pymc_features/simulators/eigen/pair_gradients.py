@@ -211,13 +211,11 @@ def derive_matrices(at, quantity, reduced, by_damping, room):
     for k in range(m):
         put_number(own, k, write_differences(at, k, view(room.differences, like)))
     width = 2 * m
-    multiply_lanes(
-        (room.right, width, 1), (room.differences, 1, width), (m, width, width), room.partners, True
-    )
+    multiply_lanes((room.right, width, 1), (room.differences, 1, width), (m, width, width), room.partners)
     for i in range(3):
         target = (reduced.stiffness, by_damping, reduced.mass)[i]
         multiply_left(at, i > 0, left)
-        multiply_lanes((room.left, width, 1), (room.partners, 1, width), (m, width, m), room.product, True)
+        multiply_lanes((room.left, width, 1), (room.partners, 1, width), (m, width, m), room.product)
         if i == 2:
             share = 1.0 if order_of(quantity) == 2 else 0.0
             add_mass_terms(at, share, right, own, view(reduced.by_load, like), view(room.product, like))

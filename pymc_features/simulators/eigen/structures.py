@@ -48,7 +48,7 @@ from pymc_features.simulators.eigen.tridiagonal import (
     twisted_vector,
     whole_vectors,
 )
-from pymc_features.simulators.numbers.compiled_numbers import in_lanes, new_four
+from pymc_features.simulators.numbers.compiled_numbers import in_lanes, new_four, new_two, the_sum
 from pymc_features.simulators.numbers.rows import view
 
 
@@ -75,7 +75,7 @@ def reflect_column(matrix, n, k, vector):
 
 @jit
 def update_and_multiply(matrix, start, vectors):
-    """Write A - v w' - w v', from row and column `start` on, and its product with u.
+    """Write A - v w' - w v', from row and column `start` on, and its product with u, two rows at a time.
 
     Parameters
     ----------
@@ -84,45 +84,30 @@ def update_and_multiply(matrix, start, vectors):
     vectors : tuple of arrays (n, LANES)
         v, w, u and the product, which is overwritten.
     """
-    v, w, u, product = vectors
-    n = v.shape[0]
+    n, like = vectors[0].shape[0], in_lanes(0.0)
+    a, v, w = view(matrix, like), view(vectors[0], like), view(vectors[1], like)
+    u, product = view(vectors[2], like), view(vectors[3], like)
     for i in range(start, n):
-        store(product, i, splat(0.0))
-    begin = start
-    if (n - start) % 2 == 1:  # the first row alone, the others in pairs
-        entry = load(matrix, start * n + start) - (
-            load(v, start) * load(w, start) + load(w, start) * load(v, start)
-        )
-        store(matrix, start * n + start, entry)
-        store(product, start, entry * load(u, start))
-        begin = start + 1
+        product[i] = like
+    begin = start + (n - start) % 2
+    if begin > start:  # the first row alone
+        a[start * n + start] = a[start * n + start] - 2.0 * (v[start] * w[start])
+        product[start] = a[start * n + start] * u[start]
     for i in range(begin, n, 2):
         top, low = i * n, (i + 1) * n
-        v0, v1, w0, w1, u0, u1 = (
-            load(v, i),
-            load(v, i + 1),
-            load(w, i),
-            load(w, i + 1),
-            load(u, i),
-            load(u, i + 1),
-        )
-        sum0 = sum1 = splat(0.0)
+        vs, ws, us = new_two(v[i], v[i + 1]), new_two(w[i], w[i + 1]), new_two(u[i], u[i + 1])
+        total = new_two(like, like)
         for j in range(start, i):
-            vj, wj, uj = load(v, j), load(w, j), load(u, j)
-            a0 = load(matrix, top + j) - v0 * wj - w0 * vj
-            a1 = load(matrix, low + j) - v1 * wj - w1 * vj
-            store(matrix, top + j, a0)
-            store(matrix, low + j, a1)
-            sum0, sum1 = sum0 + a0 * uj, sum1 + a1 * uj
-            store(product, j, load(product, j) + a0 * u0 + a1 * u1)
-        corner = load(matrix, top + i) - (v0 * w0 + w0 * v0)
-        beside = load(matrix, low + i) - v1 * w0 - w1 * v0
-        last = load(matrix, low + i + 1) - (v1 * w1 + w1 * v1)
-        store(matrix, top + i, corner)
-        store(matrix, low + i, beside)
-        store(matrix, low + i + 1, last)
-        store(product, i, sum0 + corner * u0 + beside * u1)
-        store(product, i + 1, sum1 + beside * u0 + last * u1)
+            entries = new_two(a[top + j], a[low + j]) - w[j] * vs - v[j] * ws
+            a[top + j], a[low + j] = entries.first, entries.second
+            total = total + u[j] * entries
+            product[j] = product[j] + the_sum(entries * us)
+        corner = a[top + i] - 2.0 * (vs.first * ws.first)
+        beside = a[low + i] - vs.second * ws.first - ws.second * vs.first
+        last = a[low + i + 1] - 2.0 * (vs.second * ws.second)
+        a[top + i], a[low + i], a[low + i + 1] = corner, beside, last
+        product[i] = total.first + corner * us.first + beside * us.second
+        product[i + 1] = total.second + beside * us.first + last * us.second
 
 
 @jit

@@ -132,6 +132,13 @@ class Arguments(NamedTuple):
         sensors, n_modes, quantity = self.wanted
         return Outputs(writable(to_dense(sensors)), n_modes, quantity)
 
+    @property
+    def has_pairs(self) -> bool:
+        """Whether complex modes in lanes are tried: of a full, symmetric C under one input."""
+        given, n_inputs = self.parameters, len(self.excitation.acceleration)
+        is_full = given.is_dense and not given.is_classical
+        return is_full and n_inputs == 1 and is_symmetric(given.damping, given.n_dof)
+
     def check(self, history=None, weights=None):
         """Refuse sizes that do not agree.
 

@@ -15,10 +15,7 @@ from pymc_features.simulators.eigen.complex_modes import PairArrays, Pairs, find
 from pymc_features.simulators.eigen.matrices import (
     assemble_lanes,
     factorise_lanes,
-    filled_places,
-    is_never_negative,
     multiply_lanes,
-    multiply_sparse,
 )
 from pymc_features.simulators.eigen.pair_gradients import (
     complete_sums,
@@ -50,7 +47,6 @@ from pymc_features.simulators.oscillators.samples import of_population
 from pymc_features.simulators.oscillators.spread import add_terms, spread_to_theta, terms_of
 from pymc_features.simulators.oscillators.sums import new_gradient_walk, sum_history
 
-FEW = 0.3  # share of the entries of C below which those that are zero are passed over
 # Residues above that many times the classical ones: two modes, or both of a pair, coalesce. Derivatives lose
 # digits by the third power of it.
 CANCELLING, CANCELLING_SLOPES = 1e5, 100.0
@@ -68,10 +64,6 @@ class CoupledLanes(NamedTuple):
     arrays, pairs : PairArrays, Pairs
     damping, half : array (n n, LANES), (m n, LANES)
         C, and Phi'C.
-    places : tuple of arrays
-        See `filled_places`.
-    is_safe : bool
-        Whether no eigenvalue of C can be negative.
     highest : float
         omega and D from where a mode is too fast to be stepped [1/s].
     """
@@ -82,8 +74,6 @@ class CoupledLanes(NamedTuple):
     pairs: Pairs
     damping: np.ndarray
     half: np.ndarray
-    places: tuple
-    is_safe: bool
     highest: float
 
 
@@ -102,8 +92,6 @@ def new_coupled(parameters, excitation, wanted, with_gradients, room, samples, w
         pairs,
         new_vectors(n * n),
         new_vectors(m * n),
-        filled_places(parameters.damping, n),
-        is_never_negative(parameters.damping, n),
         highest_coupled_step(excitation) / step,
     )
 
@@ -143,24 +131,33 @@ def keep_lanes(lanes, good):
 
 @jit
 def project(lanes, n):
-    """Write D = Phi'C Phi; C (n n, LANES) is zero but at `filled_places`."""
-    rows, m = (lanes.dense.rows, n, 1), lanes.pairs.m
-    if lanes.places[1].size < FEW * n * n:
-        multiply_sparse(rows, lanes.damping, lanes.places, (m, n), lanes.half)
-    else:
-        multiply_lanes(rows, (lanes.damping, n, 1), (m, n, n), lanes.half, True)
-    transposed = lanes.dense.rows, 1, n
-    multiply_lanes((lanes.half, n, 1), transposed, (m, n, m), lanes.arrays.damping, False)
+    """Write D = Phi'C Phi."""
+    rows, m = lanes.dense.rows, lanes.pairs.m
+    multiply_lanes((rows, n, 1), (lanes.damping, n, 1), (m, n, n), lanes.half)
+    multiply_lanes((lanes.half, n, 1), (rows, 1, n), (m, n, m), lanes.arrays.damping)
 
 
 @jit
 def check_damping(lanes, mass, good):
-    """Take the lanes out of the good ones where D has a negative eigenvalue, or a mode is too fast."""
-    at, stiffest, m = lanes.pairs, in_lanes(0.0), lanes.pairs.m
+    """Take the lanes out of the good ones where D has a negative eigenvalue, or a mode is too fast.
+
+    M is given by its lower half, (n n, LANES).
+    """
+    at, nil, room = lanes.pairs, in_lanes(0.0), new_vectors(lanes.arrays.damping.shape[0])
+    inertia = drag = stiffest = nil
+    n, m, shifted = int(np.sqrt(mass.shape[0])), at.m, view(room, nil)
+    for i in range(n):
+        inertia = inertia + view(mass, nil)[i * n + i]
+        drag = drag + view(lanes.damping, nil)[i * n + i]
+    ratio = magnitude(drag) / inertia
+    shift = ZERO_STIFFNESS * where_less(0.0, ratio, ratio, 1.0)
     for r in range(m):
         stiffest = larger(stiffest, larger(at.omega[r], at.damping[r * m + r]))
-    good = where_less(stiffest, lanes.highest, good, 0.0)
-    return good if lanes.is_safe else check_sign(lanes, mass, good)
+        for s in range(r + 1):
+            shifted[r * m + s] = at.damping[r * m + s] + (shift if r == s else nil)
+    factorise_lanes(room, m, False)
+    good = where_less(0.0, shifted[m * m - 1], good, 0.0)
+    return where_less(stiffest, lanes.highest, good, 0.0)
 
 
 @jit
@@ -173,24 +170,6 @@ def write_forced(lanes):
         for r in range(at.m):
             total = total - at.shapes[j * at.m + r] * at.participation[r]
         forced[j] = by_forces[j] if dense.is_complete else total
-
-
-@jit
-def check_sign(lanes, mass, good):
-    """Take the lanes out of the good ones where D has a negative eigenvalue; M by its lower half."""
-    at, nil, room = lanes.pairs, in_lanes(0.0), new_vectors(lanes.arrays.damping.shape[0])
-    inertia = drag = nil
-    n, shifted = int(np.sqrt(mass.shape[0])), view(room, nil)
-    for i in range(n):
-        inertia = inertia + view(mass, nil)[i * n + i]
-        drag = drag + view(lanes.damping, nil)[i * n + i]
-    ratio = magnitude(drag) / inertia
-    shift = ZERO_STIFFNESS * where_less(0.0, ratio, ratio, 1.0)
-    for r in range(at.m):
-        for s in range(r + 1):
-            shifted[r * at.m + s] = at.damping[r * at.m + s] + (shift if r == s else nil)
-    factorise_lanes(room, at.m, False)
-    return where_less(0.0, shifted[at.m * at.m - 1], good, 0.0)
 
 
 @jit

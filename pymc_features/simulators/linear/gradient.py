@@ -8,7 +8,7 @@ import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
 from pymc_features.simulators.linear import oscillators, state_space
-from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
+from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.coupled import add_coupled_gradients
 from pymc_features.simulators.linear.dense_structures import (
     add_dense_gradient,
@@ -97,11 +97,9 @@ def linear_gradient_of_sums(parameters, excitation, wanted, sums) -> tuple:
 
 def in_complex_modes(a, weights) -> bool:
     """Whether complex modes in lanes give the gradient by weights (..., s, 1 or 4)."""
-    given = a.parameters
-    is_simple = given.is_dense and not given.is_classical and a.excitation.acceleration.shape[0] == 1
-    is_whole = a.wanted.n_modes == given.n_dof and weights.shape[-1] == 1
-    is_known = a.excitation.direct.size == 0 or is_share_known(given, a.wanted)
-    return is_simple and is_whole and is_known and is_symmetric(given.damping, given.n_dof)
+    is_whole = a.wanted.n_modes == a.parameters.n_dof and weights.shape[-1] == 1
+    is_known = a.excitation.direct.size == 0 or is_share_known(a.parameters, a.wanted)
+    return is_whole and is_known and a.has_pairs
 
 
 def add_alone(a, kernel, history, weights, sums):

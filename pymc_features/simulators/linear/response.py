@@ -8,7 +8,7 @@ singular on the same motion, M(theta) has fewer modes than are kept, or the damp
 import numpy as np
 
 from pymc_features.simulators.compiled.arrays import writable
-from pymc_features.simulators.linear.arguments import Arguments, is_symmetric, n_particles
+from pymc_features.simulators.linear.arguments import Arguments, n_particles
 from pymc_features.simulators.linear.coupled import march_coupled
 from pymc_features.simulators.linear.dense_structures import (
     dense_statistics,
@@ -115,19 +115,13 @@ def march_population(a: Arguments, observed, n_statistics):
     if given.is_dense and given.is_classical:
         return dense_statistics(a.parameters.for_kernel(), a.inputs, a.outputs, observed, n_statistics)
     result, is_written = np.full((count, a.shape[0], n_statistics), np.nan), np.zeros(count, dtype=bool)
-    if has_pairs(shared):
+    if shared.has_pairs:
         kernel = a.parameters.for_kernel()
         result, is_written = march_coupled(kernel, a.inputs, a.outputs, observed, n_statistics)
     for p, own, system in solved(a, np.flatnonzero(~is_written)):
         if system is not None:
             result[p] = evaluate(own, system, observed)[:, :n_statistics]
     return result
-
-
-def has_pairs(a: Arguments) -> bool:
-    """Whether complex modes in lanes are tried: of one input, and a full, symmetric C."""
-    given, one_input = a.parameters, a.excitation.acceleration.shape[0] == 1
-    return given.is_dense and one_input and is_symmetric(given.damping, given.n_dof)
 
 
 def linear_systems(parameters, excitation, wanted, observed) -> Systems | None:

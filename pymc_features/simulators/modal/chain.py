@@ -13,9 +13,7 @@ from pymc_features.simulators.chain.parameters import (
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.modal.perturbation import (
     Cotangent,
-    by_eigenvalues,
-    outside_span,
-    reduced_cotangents,
+    pull_back_modes,
     write_modes,
 )
 from pymc_features.simulators.oscillators.modal_system import write_damping
@@ -84,22 +82,10 @@ def add_modes_gradient(own, wanted, cotangent, gradients):
         for gradient in gradients:
             gradient[:] = np.nan
         return
-    kept, slopes, by_shapes = omega[:m].copy(), np.empty(m), np.zeros((omega.size, m))
-    for r in range(m):
-        slopes[r] = 0.5 * (own.rayleigh[1] - own.rayleigh[0] / kept[r] ** 2)
-        gradients.rayleigh[0] += cotangent.ratios[r] / (2.0 * kept[r])
-        gradients.rayleigh[1] += cotangent.ratios[r] * 0.5 * kept[r]
-        gradients.ratios[r] += cotangent.ratios[r]
-        for j in range(wanted.sensors.size):
-            by_shapes[wanted.sensors[j], r] += cotangent.shapes[r, j]
-    by_eigenvalue = by_eigenvalues(kept, slopes, cotangent)
-    by_stiffness, by_mass = reduced_cotangents(kept, by_eigenvalue, np.dot(rows[:m], by_shapes))
-    shapes = np.ascontiguousarray(rows[:m].T)
-    left_stiffness, left_mass = np.dot(shapes, by_stiffness), np.dot(shapes, by_mass)
-    if m < omega.size:
-        outside = outside_span(omega, rows, m, by_shapes)
-        left_stiffness -= outside
-        left_mass += outside * kept**2
+    by_damping, shapes = (gradients.rayleigh, gradients.ratios), np.ascontiguousarray(rows[:m].T)
+    left_stiffness, left_mass = pull_back_modes(
+        (omega, rows), own.rayleigh, wanted.sensors, cotangent, by_damping
+    )
     drifts, turned = drifts_of(shapes), drifts_of(left_stiffness)
     for i in range(omega.size):
         for r in range(m):

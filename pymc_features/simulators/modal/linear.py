@@ -23,7 +23,7 @@ from pymc_features.simulators.modal.perturbation import (
     Cotangent,
     by_eigenvalues,
     damping_ratio,
-    outside_span,
+    pull_back_modes,
     reduced_cotangents,
     write_modes,
 )
@@ -59,23 +59,8 @@ def add_modes_gradient(parameters, own, wanted, cotangent, gradients):
         for gradient in gradients:
             gradient[:] = np.nan
         return
-    kept, slopes, by_shapes = omega[:m].copy(), np.empty(m), np.zeros((n, m))
-    for r in range(m):
-        slopes[r] = 0.5 * (rayleigh[1] - rayleigh[0] / kept[r] ** 2)
-        if cotangent.ratios[r] != 0.0:
-            grad_rayleigh[0] += cotangent.ratios[r] / (2.0 * kept[r])
-            grad_rayleigh[1] += cotangent.ratios[r] * 0.5 * kept[r]
-            grad_ratios[r] += cotangent.ratios[r]
-        for j in range(wanted.sensors.size):
-            by_shapes[wanted.sensors[j], r] += cotangent.shapes[r, j]
-    by_eigenvalue = by_eigenvalues(kept, slopes, cotangent)
-    by_stiffness, by_mass = reduced_cotangents(kept, by_eigenvalue, np.dot(rows[:m], by_shapes))
-    shapes = np.ascontiguousarray(rows[:m].T)
-    left_stiffness, left_mass = np.dot(shapes, by_stiffness), np.dot(shapes, by_mass)
-    if m < n:
-        outside = outside_span(omega, rows, m, by_shapes)
-        left_stiffness -= outside
-        left_mass += outside * kept**2
+    by_damping, sensors = (grad_rayleigh, grad_ratios), wanted.sensors
+    left_stiffness, left_mass = pull_back_modes((omega, rows), rayleigh, sensors, cotangent, by_damping)
     if parameters.stiffness.shape[0] > 1:
         grad_theta += np.dot(parameters.stiffness[1:], np.dot(left_stiffness, rows[:m]).reshape(n * n))
     if parameters.mass.shape[0] > 1:

@@ -122,3 +122,38 @@ def reduced_cotangents(omega, by_eigenvalue, turned):
             mean = 0.5 * (omega[r] * omega[r] + omega[s] * omega[s])
             mass[s, r] = -mean * turn - 0.25 * (turned[s, r] + turned[r, s])
     return stiffness, mass
+
+
+@jit
+def pull_back_modes(solved, rayleigh, sensors, cotangent, by_damping):
+    """Left factors (n, m) of the derivatives by the entries of K and M; their right one is Phi.
+
+    Parameters
+    ----------
+    solved : tuple of arrays (n,), (n, n)
+        omega and shapes in rows of all modes.
+    rayleigh : array (2,)
+    sensors : integer array (s,)
+    cotangent : Cotangent
+    by_damping : tuple of arrays (2,), (k,)
+        Derivatives by Rayleigh's pair and the ratios; updated.
+    """
+    (omega, rows), (by_rayleigh, by_ratios), m = solved, by_damping, cotangent.frequencies.size
+    kept, slopes, by_shapes = omega[:m].copy(), np.empty(m), np.zeros((omega.size, m))
+    for r in range(m):
+        slopes[r] = 0.5 * (rayleigh[1] - rayleigh[0] / kept[r] ** 2)
+        if cotangent.ratios[r] != 0.0:
+            by_rayleigh[0] += cotangent.ratios[r] / (2.0 * kept[r])
+            by_rayleigh[1] += cotangent.ratios[r] * 0.5 * kept[r]
+            by_ratios[r] += cotangent.ratios[r]
+        for j in range(sensors.size):
+            by_shapes[sensors[j], r] += cotangent.shapes[r, j]
+    by_eigenvalue = by_eigenvalues(kept, slopes, cotangent)
+    by_stiffness, by_mass = reduced_cotangents(kept, by_eigenvalue, np.dot(rows[:m], by_shapes))
+    shapes = np.ascontiguousarray(rows[:m].T)
+    left_stiffness, left_mass = np.dot(shapes, by_stiffness), np.dot(shapes, by_mass)
+    if m < omega.size:
+        outside = outside_span(omega, rows, m, by_shapes)
+        left_stiffness -= outside
+        left_mass += outside * kept**2
+    return left_stiffness, left_mass

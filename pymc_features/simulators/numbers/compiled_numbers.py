@@ -155,7 +155,7 @@ for _symbol in (operator.add, operator.sub, operator.mul, operator.truediv):
     _install(_symbol)
 
 # In compiled code the kinds and their functions go by these names
-new_dual, new_quadratic, new_four = map(compiled, (Dual, Quadratic, Four))
+new_dual, new_quadratic, new_two, new_four = map(compiled, (Dual, Quadratic, Two, Four))
 with_parts, of_kind, dot = compiled(parts_of), compiled(as_kind), compiled(dot_of)
 the_value, the_output, where_less, the_sum, the_narrowed, highest = map(
     compiled, (value_of, output_of, choose, sum_of, narrowed, highest_of)
