@@ -28,6 +28,7 @@ from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.numbers.compiled_numbers import (
     highest,
     in_lanes,
+    lanes,
     larger,
     magnitude,
     new_four,
@@ -35,7 +36,7 @@ from pymc_features.simulators.numbers.compiled_numbers import (
     square_root,
     where_less,
 )
-from pymc_features.simulators.numbers.rows import view
+from pymc_features.simulators.numbers.rows import moved, view
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
 
 PANEL = 2  # complex modes that are multiplied by D together
@@ -68,27 +69,6 @@ def inverse(x):
     return new_quadratic(x.re * size, (0.0 - x.im) * size, x.square)
 
 
-class PairArrays(NamedTuple):
-    """Arrays behind `Pairs`; the caller keeps them."""
-
-    damping: np.ndarray
-    omega: np.ndarray
-    shapes: np.ndarray
-    participation: np.ndarray
-    entries: np.ndarray
-    products: np.ndarray
-    inverses: np.ndarray
-    panel: np.ndarray
-    checks: np.ndarray
-    poles: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
-    seen: np.ndarray
-    vectors: np.ndarray
-    sums: np.ndarray
-    ground: np.ndarray
-
-
 class Pairs(NamedTuple):
     """Pairs of complex modes of structures, one in each lane, as `Rows` of lanes; two for a complex number.
 
@@ -102,12 +82,10 @@ class Pairs(NamedTuple):
         x, D x and 1 / (lambda^2 + d_s lambda + omega_s^2) of one panel: of entry s, each mode.
     fours, products_in_four : (m)
         The first two again, all four of an entry in one number.
-    panel : (3 PANEL)
-        a, b and J^2.
     checks : (3 s)
         Sums of the residues, of lambda times them, and of the absolute values of those.
-    poles : (3 m)
-        a, b and J^2 of all modes.
+    poles : (3 m + 3)
+        a, b and J^2 of all modes, and of what fills up the last panel.
     left, right : (2 m)
         1 / alpha and x'Gamma / alpha, alpha = x' (2 lambda + D) x.
     seen, vectors : (2 s m), (2 m m)
@@ -129,7 +107,6 @@ class Pairs(NamedTuple):
     inverses: object
     fours: object
     products_in_four: object
-    panel: object
     checks: object
     poles: object
     left: object
@@ -144,48 +121,34 @@ class Pairs(NamedTuple):
 
 
 @jit
-def new_pairs(classical, with_vectors):
-    """Arrays and `Pairs` for structures whose classical modes are in lanes."""
+def new_pairs(classical, damping, with_vectors):
+    """Memory that the caller keeps, and `Pairs` in it, of structures whose classical modes are in lanes."""
     m, s, like = classical.n_modes, classical.n_sensors, in_lanes(0.0)
-    even = s + s % 2
-    arrays = PairArrays(
-        new_vectors(m * m),
-        new_vectors(m),
-        classical.shapes,
-        classical.participation,
-        new_vectors(2 * PANEL * m),
-        new_vectors(2 * PANEL * m),
-        new_vectors(2 * PANEL * m),
-        new_vectors(3 * PANEL),
-        new_vectors(3 * s),
-        new_vectors(3 * m),
-        new_vectors(2 * m),
-        new_vectors(2 * m),
-        new_vectors(2 * even * m),
-        new_vectors(2 * m * m if with_vectors else 0),
-        new_vectors(4 * even * m),
-        new_vectors(even),
-    )
-    four = new_four(like, like, like, like)
-    return arrays, Pairs(
-        view(arrays.damping, like),
-        view(arrays.omega, like),
-        view(arrays.shapes, like),
-        view(arrays.participation, like),
-        view(arrays.entries, like),
-        view(arrays.products, like),
-        view(arrays.inverses, like),
-        view(arrays.entries, four),
-        view(arrays.products, four),
-        view(arrays.panel, like),
-        view(arrays.checks, like),
-        view(arrays.poles, like),
-        view(arrays.left, like),
-        view(arrays.right, like),
-        view(arrays.seen, like),
-        view(arrays.vectors, like),
-        view(arrays.sums, like),
-        view(arrays.ground, like),
+    even, panel, kept = s + s % 2, 2 * PANEL * m, 2 * m * m if with_vectors else 0
+    sizes = m, panel, panel, panel, 3 * s, 3 * m + 3, 2 * m, 2 * m, 2 * even * m, kept, 4 * even * m, even
+    begins, total = np.empty(len(sizes), dtype=np.int64), 0
+    for i in range(len(sizes)):
+        begins[i], total = total * lanes(like), total + sizes[i]
+    memory = new_vectors(total)
+    rows, fours = view(memory, like), view(memory, new_four(like, like, like, like))
+    return memory, Pairs(
+        view(damping, like),
+        moved(rows, begins[0]),
+        view(classical.shapes, like),
+        view(classical.participation, like),
+        moved(rows, begins[1]),
+        moved(rows, begins[2]),
+        moved(rows, begins[3]),
+        moved(fours, begins[1]),
+        moved(fours, begins[2]),
+        moved(rows, begins[4]),
+        moved(rows, begins[5]),
+        moved(rows, begins[6]),
+        moved(rows, begins[7]),
+        moved(rows, begins[8]),
+        moved(rows, begins[9]),
+        moved(rows, begins[10]),
+        moved(rows, begins[11]),
         m,
         s,
         with_vectors,
@@ -216,10 +179,10 @@ def start_panel(at, first):
         half, omega = 0.5 * at.damping[r * m + r], at.omega[r]
         gap = (half - omega) * (half + omega)
         square = where_less(gap, 0.0, nil - one, one)
-        put_pole(at.panel, p, new_quadratic(nil - half, square_root(magnitude(gap)), square))
+        put_pole(at.poles, first + p, new_quadratic(nil - half, square_root(magnitude(gap)), square))
     write_inverses(at, first, one)
     for p in range(PANEL):
-        r, pole = min(first + p, m - 1), pole_of(at.panel, p)
+        r, pole = min(first + p, m - 1), pole_of(at.poles, first + p)
         for s in range(m):
             x = number(at.inverses, PANEL * s + p, pole.square) * (pole * (nil - at.damping[s * m + r]))
             if s == r:
@@ -231,7 +194,7 @@ def start_panel(at, first):
 def write_inverses(at, first, where):
     """Write 1 / (lambda^2 + d_s lambda + omega_s^2) of a panel in the lanes where `where` is positive."""
     for p in range(PANEL):
-        r, pole = min(first + p, at.m - 1), pole_of(at.panel, p)
+        r, pole = min(first + p, at.m - 1), pole_of(at.poles, first + p)
         own = pole * pole
         for s in range(at.m):
             if s != r:
@@ -242,13 +205,13 @@ def write_inverses(at, first, where):
 
 
 @jit
-def improve_pole(at, r, p, live):
-    """One Newton step for the pole of mode p of the panel, number r; returns by how much it moved."""
-    pole, omega = pole_of(at.panel, p), at.omega[r]
+def improve_pole(at, first, p, r, live):
+    """One Newton step for the pole of mode r, in place p of the panel; returns by how much it moved."""
+    pole, omega = pole_of(at.poles, first + p), at.omega[r]
     y = number(at.products, PANEL * r + p, pole.square)
     step = (pole * pole + omega * omega + pole * y) * inverse(2.0 * pole + y)
     new = pole - step
-    put_pole(at.panel, p, where_less(0.0, live, new, pole))
+    put_pole(at.poles, first + p, where_less(0.0, live, new, pole))
     return (magnitude(step.re) + magnitude(step.im)) / (magnitude(new.re) + magnitude(new.im))
 
 
@@ -256,12 +219,12 @@ def improve_pole(at, r, p, live):
 def improve_rows(at, rows, first, live, moved):
     """One step for some entries of the panel, from row to row; adds to `moved` by how much they moved."""
     for p in range(PANEL):
-        r, pole = min(first + p, at.m - 1), pole_of(at.panel, p)
+        r, pole = min(first + p, at.m - 1), pole_of(at.poles, first + p)
         own = pole * pole
         for s in range(rows[0], rows[1]):
             if s == r:
-                moved = moved + improve_pole(at, r, p, live)
-                pole = pole_of(at.panel, p)
+                moved = moved + improve_pole(at, first, p, r, live)
+                pole = pole_of(at.poles, first + p)
                 own = pole * pole
                 continue
             row, omega = PANEL * s + p, at.omega[s]
@@ -345,9 +308,9 @@ def settle_panel(at, first, good):
 
 
 @jit
-def put_pair(lot, at, r, p):
-    """Write pair r, place p of the panel, as the march and the gradients take it; add it to the checks."""
-    pole, m, n_all, like = pole_of(at.panel, p), at.m, lot.n_all, in_lanes(0.0)
+def put_pair(lot, at, first, p):
+    """Write the pair in place p of the panel as march and gradients take it; add it to the checks."""
+    r, pole, m, n_all, like = first + p, pole_of(at.poles, first + p), at.m, lot.n_all, in_lanes(0.0)
     squares, drags, shapes = view(lot.squares, like), view(lot.damping, like), view(lot.shapes, like)
     nothing = new_quadratic(like, like, pole.square)
     size = load = nothing
@@ -361,7 +324,6 @@ def put_pair(lot, at, r, p):
     factor = load * norm
     stiffness, drag = pole.re * pole.re - pole.square * (pole.im * pole.im), 0.0 - 2.0 * pole.re
     squares[r], squares[m + r], drags[r], drags[m + r] = stiffness, stiffness, drag, drag
-    put_pole(at.poles, r, pole)
     put_number(at.left, r, norm)
     put_number(at.right, r, factor)
     for j in range(at.s):
@@ -410,7 +372,7 @@ def find_pairs(lot, at, good, cancelling):
         start_panel(at, first)
         good = settle_panel(at, first, good)
         for p in range(min(PANEL, at.m - first)):
-            put_pair(lot, at, first + p, p)
+            put_pair(lot, at, first, p)
     return good * passed(at, cancelling)
 
 

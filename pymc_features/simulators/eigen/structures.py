@@ -41,12 +41,10 @@ from pymc_features.simulators.eigen.tridiagonal import (
     REACH,
     ROUNDS,
     SETTLED,
-    are_apart,
-    diagonalise_lanes,
+    eigenvectors,
     has_lost,
     largest_values,
     twisted_vector,
-    whole_vectors,
 )
 from pymc_features.simulators.numbers.compiled_numbers import in_lanes, new_four, new_two, the_sum
 from pymc_features.simulators.numbers.rows import view
@@ -279,7 +277,9 @@ def solve_structures(lanes, stacks, is_diagonal):
     factorise_lanes(lanes.factor, n, is_diagonal)
     standard_lanes(lanes.stiffness, lanes.factor, n, is_diagonal, lanes.reduced)
     tridiagonalise(lanes.reduced, lanes.diagonal, lanes.off_diagonal, lanes.room)
-    converged = diagonalise(lanes, lanes.rows[:0]) and find_shapes(lanes)
+    room = lanes.work, lanes.pivots, lanes.shape
+    converged = eigenvectors(lanes.diagonal, lanes.off_diagonal, lanes.values, lanes.rows, room)
+    reflect_rows(lanes.reduced, lanes.room[0], lanes.rows)
     divide_rows(lanes.factor, n, is_diagonal, lanes.rows)
     largest = largest_values(lanes.values)
     for r in range(n):
@@ -291,29 +291,6 @@ def solve_structures(lanes, stacks, is_diagonal):
             lanes.is_good[lane] &= 0.0 <= lanes.values[r, lane] < np.inf
         if lanes.is_good[lane]:
             sort_modes(lanes, lane)
-
-
-@jit
-def diagonalise(lanes, vectors):
-    """Write omega^2 of the tridiagonal matrices, and turn vectors to their basis; False if that fails."""
-    for i in range(lanes.diagonal.shape[0]):
-        store(lanes.values, i, load(lanes.diagonal, i))
-        store(lanes.work, i, load(lanes.off_diagonal, i))
-    return diagonalise_lanes(lanes.values, lanes.work, vectors)
-
-
-@jit
-def find_shapes(lanes):
-    """Write the eigenvectors of A into `lanes.rows`, one by one: QL takes longer; False if that fails."""
-    n, rows, converged = lanes.diagonal.shape[0], lanes.rows, True
-    if are_apart(lanes.values):
-        whole_vectors(lanes.diagonal, lanes.off_diagonal, lanes.values, lanes.pivots, lanes.shape, rows)
-    else:
-        for i in range(n * n):
-            store(rows, i, splat(1.0 if i % (n + 1) == 0 else 0.0))
-        converged = diagonalise(lanes, rows)
-    reflect_rows(lanes.reduced, lanes.room[0], rows)
-    return converged
 
 
 @jit

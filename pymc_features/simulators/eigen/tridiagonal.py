@@ -193,6 +193,28 @@ def whole_vectors(diagonal, off_diagonal, values, pivots, vector, vectors):
 
 
 @jit
+def eigenvectors(diagonal, off_diagonal, values, vectors, room):
+    """Write eigenvalues (n, LANES) and, in rows, eigenvectors (n n, LANES); False if that fails.
+
+    The eigenvalues alone come first; the vectors are then found one by one, where none are close: QL takes
+    longer. `room` are arrays (n, LANES), (2 n, LANES) and (n, LANES).
+    """
+    (work, pivots, vector), n = room, diagonal.shape[0]
+    for turn in range(2):
+        for i in range(n):
+            store(values, i, load(diagonal, i))
+            store(work, i, load(off_diagonal, i))
+        for i in range(n * n if turn == 1 else 0):
+            store(vectors, i, splat(1.0 if i % (n + 1) == 0 else 0.0))
+        if not diagonalise_lanes(values, work, vectors if turn == 1 else vectors[:0]):
+            return False
+        if turn == 0 and are_apart(values):
+            whole_vectors(diagonal, off_diagonal, values, pivots, vector, vectors)
+            break
+    return True
+
+
+@jit
 def has_lost(value, largest):
     """One where an eigenvalue has lost digits to rounding of the largest one, zero elsewhere."""
     return where_less(value, largest * LOSS, splat(1.0), splat(0.0))

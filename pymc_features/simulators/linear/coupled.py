@@ -11,7 +11,7 @@ import numpy as np
 from pymc_features.algebra import ZERO_STIFFNESS
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.compiled.vector_memory import new_vectors
-from pymc_features.simulators.eigen.complex_modes import PairArrays, Pairs, find_pairs, new_pairs
+from pymc_features.simulators.eigen.complex_modes import Pairs, find_pairs, new_pairs
 from pymc_features.simulators.eigen.matrices import (
     assemble_lanes,
     factorise_lanes,
@@ -36,6 +36,7 @@ from pymc_features.simulators.numbers.compiled_numbers import (
     larger,
     magnitude,
     new_dual,
+    square_root,
     where_less,
 )
 from pymc_features.simulators.numbers.rows import view
@@ -61,19 +62,21 @@ class CoupledLanes(NamedTuple):
         With their classical modes.
     lot : ModalLanes
         Of the pairs of complex modes, each twice.
-    arrays, pairs : PairArrays, Pairs
-    damping, half : array (n n, LANES), (m n, LANES)
-        C, and Phi'C.
+    memory, pairs : array, Pairs
+        The memory of the pairs, and these.
+    damping, half, modal : array (n n, LANES), (m n, LANES), (m m, LANES)
+        C, Phi'C and D = Phi'C Phi.
     highest : float
         omega and D from where a mode is too fast to be stepped [1/s].
     """
 
     dense: DenseLanes
     lot: ModalLanes
-    arrays: PairArrays
+    memory: np.ndarray
     pairs: Pairs
     damping: np.ndarray
     half: np.ndarray
+    modal: np.ndarray
     highest: float
 
 
@@ -84,16 +87,10 @@ def new_coupled(parameters, excitation, wanted, with_gradients, room, samples, w
     (s, n), m, step = wanted.sensors.shape, wanted.n_modes, excitation.dt / excitation.substeps
     sizes, request = (2 * m, 2 * m, 2 * m, s), (step, wanted.quantity)
     lot = new_modal_lanes(sizes, dense.lot.motion, (False, True), samples, request, widths)
-    arrays, pairs = new_pairs(dense.lot, with_gradients)
-    return CoupledLanes(
-        dense,
-        lot,
-        arrays,
-        pairs,
-        new_vectors(n * n),
-        new_vectors(m * n),
-        highest_coupled_step(excitation) / step,
-    )
+    modal, damping, half = new_vectors(m * m), new_vectors(n * n), new_vectors(m * n)
+    memory, pairs = new_pairs(dense.lot, modal, with_gradients)
+    highest = highest_coupled_step(excitation) / step
+    return CoupledLanes(dense, lot, memory, pairs, damping, half, modal, highest)
 
 
 @jit
@@ -104,11 +101,11 @@ def solve_coupled(lanes, room, parameters, wanted, place, cancelling, widths):
     """
     dense, at, lot, like = lanes.dense, lanes.pairs, lanes.lot, widths.structure
     solve_together(dense, room, parameters, wanted, place)
-    n, present = wanted.sensors.shape[1], new_vectors(1)
+    n, present, squares = wanted.sensors.shape[1], new_vectors(1), view(dense.lot.squares, like)
     for lane in range(lot.is_there.size):
         present[0, lane] = 1.0 if dense.lot.is_there[lane] else 0.0
-        for r in range(at.m):
-            lanes.arrays.omega[r, lane] = np.sqrt(dense.lot.squares[r, lane])
+    for r in range(at.m):
+        at.omega[r] = square_root(squares[r])
     assemble_lanes(parameters.damping, room.structures.theta, n, True, lanes.damping)
     project(lanes, n)
     good = check_damping(lanes, room.structures.mass, view(present, like)[0])
@@ -134,7 +131,7 @@ def project(lanes, n):
     """Write D = Phi'C Phi."""
     rows, m = lanes.dense.rows, lanes.pairs.m
     multiply_lanes((rows, n, 1), (lanes.damping, n, 1), (m, n, n), lanes.half)
-    multiply_lanes((lanes.half, n, 1), (rows, 1, n), (m, n, m), lanes.arrays.damping)
+    multiply_lanes((lanes.half, n, 1), (rows, 1, n), (m, n, m), lanes.modal)
 
 
 @jit
@@ -143,7 +140,7 @@ def check_damping(lanes, mass, good):
 
     M is given by its lower half, (n n, LANES).
     """
-    at, nil, room = lanes.pairs, in_lanes(0.0), new_vectors(lanes.arrays.damping.shape[0])
+    at, nil, room = lanes.pairs, in_lanes(0.0), new_vectors(lanes.modal.shape[0])
     inertia = drag = stiffest = nil
     n, m, shifted = int(np.sqrt(mass.shape[0])), at.m, view(room, nil)
     for i in range(n):

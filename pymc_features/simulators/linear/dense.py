@@ -176,31 +176,22 @@ def spectral_shift(mass, stiffness):
 
 
 @jit
-def reduce_diagonal(mass, stiffness, reduced):
-    """Write M^-1/2 K M^-1/2; False if M is not positive."""
-    n = mass.shape[0]
-    scale = np.empty(n)
-    for i in range(n):
-        if not mass[i, i] > 0.0:
-            return False
-        scale[i] = 1.0 / np.sqrt(mass[i, i])
-    for i in range(n):
-        for j in range(n):
-            reduced[i, j] = stiffness[i, j] * scale[i] * scale[j]
-    return True
-
-
-@jit
-def reduce_full(mass, stiffness, factor, reduced):
-    """Write F, and F^-1 K F^-T; False if M is not positive definite."""
-    n = mass.shape[0]
-    if not factorise(mass, factor, MASSLESS):
+def reduce_stiffness(mass, stiffness, diagonal, factor, reduced):
+    """Write F, and A = F^-1 K F^-T; False if M is not positive definite. `diagonal` says whether M is."""
+    n, possible = mass.shape[0], True
+    if diagonal:
+        for i in range(n):
+            possible &= mass[i, i] > 0.0
+            factor[i, i] = np.sqrt(mass[i, i])
+    else:
+        possible = factorise(mass, factor, MASSLESS)
+    if not possible:
         return False
     half = np.empty((n, n))  # F^-1 K
     for i in range(n):
         row, multipliers = half[i], factor[i]
         copy_entries(stiffness[i], row)
-        for k in range(i):
+        for k in range(0 if diagonal else i):
             other = half[k]
             for j in range(n):
                 row[j] -= multipliers[k] * other[j]
@@ -210,31 +201,24 @@ def reduce_full(mass, stiffness, factor, reduced):
         row = reduced[i]
         for j in range(i + 1):
             total, multipliers = half[i, j], factor[j]
-            for k in range(j):
+            for k in range(0 if diagonal else j):
                 total -= row[k] * multipliers[k]
-            row[j] = total / multipliers[j]
-    for i in range(n):
-        for j in range(i):
-            reduced[j, i] = reduced[i, j]
+            row[j] = reduced[j, i] = total / multipliers[j]
     return True
 
 
 @jit
-def physical_shapes(mass, factor, diagonal, vectors, shapes):
+def physical_shapes(factor, diagonal, vectors, shapes):
     """Write phi = F^-T y into the rows of `shapes` (m, n), y the first columns of `vectors` (n, n)."""
-    n = mass.shape[0]
+    n = factor.shape[0]
     for r in range(shapes.shape[0]):
         shape = shapes[r]
         for i in range(n):
             shape[i] = vectors[i, r]
-        if diagonal:
-            for i in range(n):
-                shape[i] /= np.sqrt(mass[i, i])
-            continue
         for k in range(n - 1, -1, -1):
             multipliers = factor[k]
             shape[k] /= multipliers[k]
-            for i in range(k):
+            for i in range(0 if diagonal else k):
                 shape[i] -= shape[k] * multipliers[i]
 
 
@@ -296,17 +280,13 @@ def lowest_shapes(mass, stiffness, diagonal, factor, reduced, shapes):
 
     `diagonal` says whether M is, `factor` and `reduced` (n, n) are overwritten.
     """
-    if diagonal:
-        possible = reduce_diagonal(mass, stiffness, reduced)
-    else:
-        possible = reduce_full(mass, stiffness, factor, reduced)
-    if not (possible and is_finite(reduced)):  # LAPACK would raise
-        return False
+    if not (reduce_stiffness(mass, stiffness, diagonal, factor, reduced) and is_finite(reduced)):
+        return False  # LAPACK would raise
     try:
         _, vectors = np.linalg.eigh(reduced)
     except Exception:  # noqa: BLE001  the iteration did not converge; compiled code knows no other class
         return False
-    physical_shapes(mass, factor, diagonal, vectors, shapes)
+    physical_shapes(factor, diagonal, vectors, shapes)
     return True
 
 

@@ -83,8 +83,11 @@ def new_dense(parameters, excitation, wanted, with_gradients, room, samples, wid
     step, motion = excitation.dt / excitation.substeps, np.dot(wanted.sensors, parameters.influence)
     sizes, request = (n, n if with_gradients else m, m, s), (step, wanted.quantity)
     lot = new_modal_lanes(sizes, motion, (with_gradients, False), samples, request, widths)
-    load, are_forced = new_rows(n * d, widths.structure), np.any(parameters.forces != 0.0)
-    return DenseLanes(lot, room[0], room[1], load, are_forced)
+    are_forced = False
+    for i in range(n):
+        for j in range(d):
+            are_forced |= parameters.forces[i, j] != 0.0
+    return DenseLanes(lot, room[0], room[1], new_rows(n * d, widths.structure), are_forced)
 
 
 @jit
