@@ -1,12 +1,11 @@
 """Arrays in, arrays out: response, misfit and their derivatives, as compiled kernels.
 
 Rooms: `compiled` (machine code), `numbers` (one source for one structure and for many, with derivatives and
-without), `oscillators` (modes through time, and gradients), `derivatives` (those of coupled modes), `eigen`
-(modes of many structures together), `reduced` (those of large sparse ones), `long_records` (without going
-through time), `taylor` (populations of nonlinear chains through time),
-`chain`, `linear`, `nonlinear` and `cyclic` (from the parameters of a family to its modes, states or forces),
-`modal` (modes for their own sake), and above them `families`, the table of all kernels. Nothing here knows of
-PyMC or PyTensor.
+without), `oscillators` (modes through time, and gradients), `eigen` (modes of many structures together),
+`long_records` (without going through time), `taylor` (populations of nonlinear chains through time), `chain`,
+`linear`, `nonlinear` and `cyclic` (from the parameters of a family to its modes, states or forces), `modal`
+(modes for their own sake), and above them `families`, the table of all kernels. Nothing here knows of PyMC or
+PyTensor.
 
 Symbols, as in the equations of the documentation:
 

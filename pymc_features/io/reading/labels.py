@@ -144,7 +144,7 @@ class Label(NamedTuple):
 
     @property
     def is_clock(self) -> bool:
-        """Whether it says time, and states no unit of anything else."""
+        """Whether this is the label of a clock: it says time, and states no unit of anything else."""
         return self.role == "time" and (self.known is None or self.seconds is not None)
 
     @classmethod
