@@ -54,6 +54,8 @@ class DynamicLoad:
         rate.
     history : str
         Name of the argument with the samples (..., time).
+    data : SharedVariable or None
+        The `pm.Data` that the samples were passed as; they are those of its values when the load was made.
     """
 
     inputs: np.ndarray
@@ -63,6 +65,7 @@ class DynamicLoad:
     name: str
     interpolation: Interpolation = "linear"
     history: str
+    data = None
 
     def _keep(self, **values) -> None:
         """Set attributes of a frozen instance: these, and the interval and the name, checked."""
@@ -131,8 +134,10 @@ class Record(DynamicLoad):
 
     Parameters
     ----------
-    acceleration : array_like (time,)
-        Ground acceleration [m/s^2]; copied, float64, at least two finite samples.
+    acceleration : array_like or pm.Data (time,)
+        Ground acceleration [m/s^2]; copied, float64, at least two finite samples. As `pm.Data` a model
+        compares with the motion that `pm.set_data` gives it, of any length; copies of the record, cut or
+        resampled ones too, are of the samples as they were.
     dt : float
         Sampling interval [s], positive.
     name : str
@@ -164,6 +169,8 @@ class Record(DynamicLoad):
 
     def __post_init__(self):
         advice = "Pass m/s^2, or read files with `read_record`."
+        if hasattr(self.acceleration, "get_value"):  # PyTensor is not imported to read a record
+            self._keep(data=self.acceleration, acceleration=self.acceleration.get_value())
         acceleration = self._series(advice, "Pass one component of the ground motion.")
         check_choice(self.interpolation, "interpolation", INTERPOLATIONS)
         self._keep(acceleration=acceleration)

@@ -11,7 +11,7 @@ from pytensor.graph.op import Op
 from pymc_features import band_limited
 from pymc_features.simulators.excitation import excitation_of, refined_request, request_of_family
 from pymc_features.simulators.families import NONLINEAR
-from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation
+from pymc_features.simulators.oscillators.arguments import Excitation
 
 N_DRAWS, N_SPARSE = 20, 4  # structures of the prior whose modes are looked at; of sparse ones modes cost more
 STARTS = 4  # place of the pattern's starts among the constants of linear structures
@@ -38,20 +38,55 @@ def request_in_model(structure, record, asked):
 
 
 def excitation_in_model(structure, record, dt, asked) -> Excitation:
-    """Do as `excitation_of`; where `dt` is data, the outputs are variables."""
+    """Do as `excitation_of`; where the record or `dt` is data, what follows from it are variables."""
     values = structure.excitation(record)
-    if not isinstance(dt, SharedVariable):
-        return excitation_of(values, record, asked)
-    ratio = dt / record.dt
-    substeps, stride = (pt.round(pt.maximum(r, 1.0)).astype("int64") for r in (1.0 / ratio, ratio))
+    found, rows = excitation_of(values, record, asked), np.atleast_2d(values)
+    if record.data is not None:
+        rows = record.data.astype("float64")[None]
+        fine = rows if record.interpolation == "linear" else Refined(asked.factor)(rows)
+        found = found._replace(acceleration=fine[0] if values.ndim == 1 else fine)
+    elif not isinstance(dt, SharedVariable):
+        return found
+    substeps, stride = asked.substeps, asked.stride
+    if isinstance(dt, SharedVariable):
+        ratio = dt / record.dt
+        substeps, stride = (pt.round(pt.maximum(r, 1.0)).astype("int64") for r in (1.0 / ratio, ratio))
+        found = found._replace(substeps=substeps, stride=stride * asked.factor)
     if record.interpolation == "linear":
-        return Excitation(values, record.dt, substeps, stride, NO_DIRECT)
-    prepared = excitation_of(values, record, asked)
-    direct = OwnValues(record.dt)(np.atleast_2d(values), substeps, stride)
-    return Excitation(prepared.acceleration, prepared.dt, substeps, stride * asked.factor, direct)
+        return found
+    return found._replace(direct=OwnValues(record.dt)(rows, substeps, stride))
 
 
-class OwnValues(Op):
+class OfRecord(Op):
+    """Base: what is made of a band-limited record (d, t), that no parameter changes."""
+
+    def make_node(self, values, *outputs):
+        values, *outputs = map(pt.as_tensor_variable, (values, *outputs))
+        return Apply(self, [values, *outputs], [pt.tensor(dtype="float64", shape=(None,) * self.ndim)])
+
+    def connection_pattern(self, node):
+        """No parameter changes it."""
+        return [[False]] * len(node.inputs)
+
+    def pullback(self, inputs, outputs, cotangents):
+        """Nothing to differentiate by."""
+        return [pt.zeros_like(x).astype("float64") for x in inputs]
+
+
+class Refined(OfRecord):
+    """Samples (d, u) some times finer whose straight lines stand for a record; see `band_limited.refined`."""
+
+    __props__ = ("factor",)
+    ndim = 2
+
+    def __init__(self, factor):
+        self.factor = int(factor)
+
+    def perform(self, node, inputs, output_storage):
+        output_storage[0][0] = band_limited.refined(inputs[0], self.factor)
+
+
+class OwnValues(OfRecord):
     """A band-limited record and its derivatives at the outputs, (5, d, u); see `band_limited.evaluated`.
 
     Parameters
@@ -61,22 +96,11 @@ class OwnValues(Op):
     """
 
     __props__ = ("dt",)
+    ndim = 3
 
     def __init__(self, dt):
         self.dt = float(dt)
 
-    def make_node(self, values, substeps, stride):
-        values, substeps, stride = map(pt.as_tensor_variable, (values, substeps, stride))
-        return Apply(self, [values, substeps, stride], [pt.tensor(dtype="float64", shape=(None, None, None))])
-
     def perform(self, node, inputs, output_storage):
         values, substeps, stride = inputs
         output_storage[0][0] = band_limited.evaluated(values, self.dt, int(substeps), int(stride))
-
-    def connection_pattern(self, node):
-        """No parameter changes it."""
-        return [[False]] * 3
-
-    def pullback(self, inputs, outputs, cotangents):
-        """Nothing to differentiate by."""
-        return [pt.zeros_like(x).astype("float64") for x in inputs]

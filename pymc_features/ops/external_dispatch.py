@@ -4,7 +4,7 @@ import warnings
 
 from pytensor.link.numba.dispatch.basic import generate_fallback_impl, register_funcify_and_cache_key
 
-from pymc_features.ops.excitation import OwnValues
+from pymc_features.ops.excitation import OwnValues, Refined
 from pymc_features.ops.external import (
     ExternalDiscrepancy,
     ExternalDiscrepancyGradient,
@@ -20,5 +20,12 @@ def funcify(op, node=None, **kwargs):
         return generate_fallback_impl(op, node=node, **kwargs), None
 
 
-for _op in (ExternalResponse, ExternalDiscrepancy, ExternalGradient, ExternalDiscrepancyGradient, OwnValues):
+for _op in (
+    ExternalResponse,
+    ExternalDiscrepancy,
+    ExternalGradient,
+    ExternalDiscrepancyGradient,
+    OwnValues,
+    Refined,
+):
     register_funcify_and_cache_key(_op)(funcify)

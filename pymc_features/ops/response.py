@@ -169,10 +169,11 @@ def respond(structure, record, dt, asked, rows) -> TensorVariable:
     excitation = excitation_in_model(structure, record, dt, asked)
     inputs = op.spec.inputs_of(structure, record, excitation, rows, asked.n_modes)
     inputs = dict(zip(op.names, inputs, strict=True))
-    for name in (*op.spec.constants, "direct"):
+    for name in (*op.spec.constants, "acceleration", "direct"):
         if not isinstance(inputs[name], Variable):
-            inputs[name] = as_data(inputs[name], name)
-    inputs["acceleration"] = as_data(inputs["acceleration"], record.name or "acceleration")
+            inputs[name] = as_data(
+                inputs[name], record.name if name == "acceleration" and record.name else name
+            )
     result = op(*inputs.values())
     result.owner.tag.excited = structure.excitation(record), record, asked
     return result
