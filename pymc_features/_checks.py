@@ -124,6 +124,16 @@ def check_step(dt) -> float:
     return check_positive(dt, "dt", SAMPLING_INTERVAL)
 
 
+def step_or_rate(dt, fs):
+    """The sampling interval [s], or that of a sampling rate [Hz]; None where neither is given."""
+    if fs is None:
+        return dt
+    rate = check_positive(fs, "fs", "Pass the sampling rate in Hz.")
+    if dt is not None:
+        raise TypeError(f"`fs` must be left out where `dt` is given, got {rate:g} Hz and {shown(dt)} s.")
+    return 1.0 / rate
+
+
 def check_share(value, name: str, advice: str = "") -> float:
     """A number between 0 and 1, neither of them, as a float."""
     number = single(value)

@@ -22,10 +22,13 @@ from pymc_features._checks import (
     is_among,
     shown,
     single,
+    step_or_rate,
 )
 
 if TYPE_CHECKING:
     import xarray as xr
+    from numpy.typing import ArrayLike
+    from pytensor.compile.sharedvalue import SharedVariable
 
 Interpolation = Literal["band-limited", "linear"]
 INTERPOLATIONS = "band-limited", "linear"
@@ -67,11 +70,14 @@ class DynamicLoad:
     history: str
     data = None
 
-    def _keep(self, **values) -> None:
-        """Set attributes of a frozen instance: these, and the interval and the name, checked."""
-        values |= {"dt": check_step(self.dt), "name": check_title(self.name)}
+    def _set(self, **values) -> None:
+        """Set attributes of a frozen instance."""
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    def _keep(self, **values) -> None:
+        """Set these attributes, and the interval and the name, checked."""
+        self._set(**values, dt=check_step(self.dt), name=check_title(self.name))
 
     def _series(self, advice: str, more: str) -> np.ndarray:
         """The samples (time,) as numbers, at least two and all finite."""
@@ -111,6 +117,11 @@ class DynamicLoad:
         return self.inputs.shape[1]
 
     @property
+    def fs(self) -> float:
+        """Sampling rate [Hz]."""
+        return 1.0 / self.dt
+
+    @property
     def time(self) -> np.ndarray:
         """Sampling times (time,) [s], from 0."""
         return np.arange(self.n_times) * self.dt
@@ -126,7 +137,7 @@ def _made_anew(kind, values):
     return kind(**{name: np.array(v) if isinstance(v, np.ndarray) else v for name, v in values.items()})
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Record(DynamicLoad):
     """An evenly sampled ground acceleration, immutable.
 
@@ -142,6 +153,8 @@ class Record(DynamicLoad):
         Sampling interval [s], positive.
     name : str
         What figures and messages call the record.
+    fs : float
+        Sampling rate [Hz], in place of `dt`.
     interpolation : str
         What the acceleration is between its samples: "band-limited" (default), without content above half
         the sampling rate, as what an anti-aliasing filter has passed; or "linear", as records that are
@@ -161,19 +174,29 @@ class Record(DynamicLoad):
     (3, 3.0, 0.04)
     """
 
-    acceleration: np.ndarray = field()
+    acceleration: np.ndarray
     dt: float
-    name: str = ""
-    interpolation: Interpolation = field(default="band-limited", kw_only=True)
+    name: str
+    interpolation: Interpolation
     history = "acceleration"
 
-    def __post_init__(self):
+    def __init__(
+        self,
+        acceleration: "ArrayLike | SharedVariable",
+        dt: float | None = None,
+        name: str = "",
+        *,
+        fs: float | None = None,
+        interpolation: Interpolation = "band-limited",
+    ):
+        dt = step_or_rate(dt, fs)
+        self._set(acceleration=acceleration, dt=dt, name=name, interpolation=interpolation)
         advice = "Pass m/s^2, or read files with `read_record`."
-        if hasattr(self.acceleration, "get_value"):  # PyTensor is not imported to read a record
-            self._keep(data=self.acceleration, acceleration=self.acceleration.get_value())
-        acceleration = self._series(advice, "Pass one component of the ground motion.")
-        check_choice(self.interpolation, "interpolation", INTERPOLATIONS)
-        self._keep(acceleration=acceleration)
+        if hasattr(acceleration, "get_value"):  # PyTensor is not imported to read a record
+            self._set(data=acceleration, acceleration=acceleration.get_value())
+        samples = self._series(advice, "Pass one component of the ground motion.")
+        check_choice(interpolation, "interpolation", INTERPOLATIONS)
+        self._keep(acceleration=samples)
 
     @classmethod
     def from_channel(
@@ -275,7 +298,7 @@ class Record(DynamicLoad):
         return float(np.abs(self.acceleration).max())
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Loading(DynamicLoad):
     """Several evenly sampled histories that act together: support accelerations or nodal forces. Immutable.
 
@@ -294,6 +317,8 @@ class Loading(DynamicLoad):
         acts on degree of freedom i.
     name : str
         What messages call the loading.
+    fs : float
+        Sampling rate [Hz], in place of `dt`.
     interpolation : str
         What the values are between their samples, as of `Record`: "band-limited" (default) or "linear".
 
@@ -309,15 +334,27 @@ class Loading(DynamicLoad):
     (1, 3)
     """
 
-    values: np.ndarray = field()
+    values: np.ndarray
     dt: float
-    kind: str = "support_acceleration"
-    matrix: np.ndarray | None = None
-    name: str = ""
-    interpolation: Interpolation = field(default="band-limited", kw_only=True)
+    kind: str
+    matrix: np.ndarray | None
+    name: str
+    interpolation: Interpolation
     history = "values"
 
-    def __post_init__(self):
+    def __init__(
+        self,
+        values: "ArrayLike",
+        dt: float | None = None,
+        kind: str = "support_acceleration",
+        matrix: "ArrayLike | None" = None,
+        name: str = "",
+        *,
+        fs: float | None = None,
+        interpolation: Interpolation = "band-limited",
+    ):
+        dt = step_or_rate(dt, fs)
+        self._set(values=values, dt=dt, kind=kind, matrix=matrix, name=name, interpolation=interpolation)
         check_choice(self.kind, "kind", KINDS)
         check_choice(self.interpolation, "interpolation", INTERPOLATIONS)
         values = np.atleast_2d(as_numbers(self.values, "values"))

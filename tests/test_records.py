@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pymc_features import Record
+from pymc_features import Loading, Record
 
 
 @pytest.fixture
@@ -86,6 +86,16 @@ def measured(**attrs):
         coords={"sensor": ["base", "roof"], "time": [5.0, 5.02, 5.04]},
         attrs={"units": "m/s^2"} | attrs,
     )
+
+
+def test_sampling_rate():
+    """In place of the step, of loads and readers; not beside it."""
+    for load in (Record([0.0, 1.0], fs=200.0), Loading([[0.0, 1.0]], fs=200.0)):
+        assert (load.dt, load.fs, dataclasses.replace(load, name="other").dt) == (0.005, 200.0, 0.005)
+    with pytest.raises(TypeError, match="`fs` must be left out where `dt` is given, got 50 Hz and 0.02 s"):
+        Record([0.0, 1.0], 0.02, fs=50.0)
+    with pytest.raises(ValueError, match="`fs` must be positive"):
+        Record([0.0, 1.0], fs=0.0)
 
 
 def test_record_of_a_channel():

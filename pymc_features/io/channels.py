@@ -25,6 +25,7 @@ from pymc_features._checks import (
     message,
     shown,
     single,
+    step_or_rate,
 )
 from pymc_features.io.formats import read_file
 from pymc_features.io.formats.libraries import is_source, recording_in
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 REACH = 10  # samples by which gaps are wider once a channel is moved to other times
 #: What may be said of all sensors or of each on its own, and of each alone.
 OF_ALL = "units", "quantity", "sensitivity", "dt", "clock", "clock_units", "skip", "wrapped"
-OF_SENSOR = "file", "column", *OF_ALL, "scale", "delay", "anchors"
+OF_SENSOR = "file", "column", *OF_ALL, "fs", "scale", "delay", "anchors"
 
 
 def read_channels(
@@ -47,6 +48,7 @@ def read_channels(
     columns: int | str | Sequence[int | str] | Mapping[str, int | str] | None = None,
     units: str | float | None = None,
     dt: float | None = None,
+    fs: float | None = None,
     clock: int | str | bool | None = None,
     clock_units: str | float | None = None,
     skip: int = 0,
@@ -65,10 +67,10 @@ def read_channels(
         `read_record` recognises; in place of a path a `pandas.DataFrame` with labels, an `xarray.DataArray`
         (sensor, time), an ObsPy `Stream`, or a list of dicts of SEP005 (`data`, `name`, `unit_str`, `fs` or
         `time`). List sensors from the base up. A mapping for a sensor has its `file` and any of `column`,
-        `units`, `dt`, `clock`, `clock_units`, `skip`, `wrapped`; `quantity` ("acceleration", "velocity",
-        "displacement", "strain", "force" or "pressure"); `sensitivity` of a voltage, such as "100 mV/g", or
-        in V per SI unit; `scale`, a factor; `delay`, how late it comes [s]; `anchors`, two pairs of a reading
-        of its clock and the true time [s], for a clock that drifts.
+        `units`, `dt`, `fs`, `clock`, `clock_units`, `skip`, `wrapped`; `quantity` ("acceleration",
+        "velocity", "displacement", "strain", "force" or "pressure"); `sensitivity` of a voltage, such as
+        "100 mV/g", or in V per SI unit; `scale`, a factor; `delay`, how late it comes [s]; `anchors`, two
+        pairs of a reading of its clock and the true time [s], for a clock that drifts.
     columns : int, str, sequence of them, or mapping of sensor name to column, optional
         Which columns of every file are accelerations, by index from 0 or header name, or which MATLAB
         variables; a matrix there is several sensors. All but the clock by default.
@@ -78,6 +80,8 @@ def read_channels(
         state it.
     dt : float, optional
         Sampling interval [s], positive; stated by the clock, or by MATLAB's ``dt`` or ``fs`` [Hz].
+    fs : float, optional
+        Sampling rate [Hz], in place of `dt`.
     clock : int, str or False, optional
         Column or variable with the times; by default time stamps, or one called t, time, timestamp, date,
         elapsed or SampleTimeFine, else a first column that runs forward. False: there is none, the files
@@ -132,7 +136,7 @@ def read_channels(
     ...     read_channels(path).sel(sensor="roof").values
     array([0.   , 2.943, 0.981])
     """
-    asked = Request(None, units, dt, clock, clock_units, skip, wrapped)
+    asked = Request(None, units, step_or_rate(dt, fs), clock, clock_units, skip, wrapped)
     return _read(files, columns, checked(asked), resample)
 
 
@@ -142,6 +146,7 @@ def read_channels_with_gaps(
     columns: int | str | Sequence[int | str] | Mapping[str, int | str] | None = None,
     units: str | float | None = None,
     dt: float | None = None,
+    fs: float | None = None,
     clock: int | str | bool | None = None,
     clock_units: str | float | None = None,
     skip: int = 0,
@@ -155,7 +160,7 @@ def read_channels_with_gaps(
 
     Parameters
     ----------
-    files, columns, units, dt, clock, clock_units, skip, wrapped, resample
+    files, columns, units, dt, fs, clock, clock_units, skip, wrapped, resample
         As of `read_channels`.
 
     Returns
@@ -187,6 +192,7 @@ def read_channels_with_gaps(
     array([[ 0.1,  0. , -0.2,  nan,  0.1],
            [ 0. ,  nan,  0.1,  nan,  0.2]])
     """
+    dt = step_or_rate(dt, fs)
     asked = Request(None, units, dt, clock, clock_units, skip, wrapped, gaps=True)
     return _read(files, columns, checked(asked), resample)
 
@@ -361,7 +367,10 @@ def _of_sensor(name, given: dict, request: Request, resampled: bool) -> tuple[ob
             what = "two pairs of a reading of the clock and its true time in seconds, the later second"
             raise ValueError(message("anchors", what, shown(given["anchors"])))
         settings["anchors"] = numbers[:2], numbers[2:]
-    own = checked(request._replace(**{key: given[key] for key in OF_ALL if key in given}))
+    own = request._replace(**{key: given[key] for key in OF_ALL if key in given})
+    if "fs" in given:
+        own = own._replace(dt=step_or_rate(given.get("dt"), given["fs"]))
+    own = checked(own)
     if given.get("column") is not None:
         own = own._replace(columns=[check_column(given["column"], "column")])
     return given["file"], own, settings

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pymc_features._checks import as_list, message, shown, warn_caller
+from pymc_features._checks import as_list, message, shown, step_or_rate, warn_caller
 from pymc_features.io.channels import check_column, checked, recording_from
 from pymc_features.io.reading.labels import G, role_of, unit_of
 from pymc_features.io.reading.recording import Channel, Recording, Request, chosen, in_si, named
@@ -25,6 +25,7 @@ def read_record(
     *,
     units: str | float | None = None,
     dt: float | None = None,
+    fs: float | None = None,
     column: int | str | None = None,
     wrapped: bool | None = None,
 ) -> Record:
@@ -49,6 +50,8 @@ def read_record(
         Sampling interval [s], positive. Formats of strong motion, an evenly increasing first text column and
         the MATLAB variables ``dt``, ``fs`` [Hz], ``t`` or ``time`` state it. Films digitised at uneven times
         need it: their values are joined by straight lines.
+    fs : float, optional
+        Sampling rate [Hz], in place of `dt`.
     column : int or str, optional
         Which channel of a recording or column of a text file, by index from 0 or name, or which MATLAB
         variable is the acceleration. Needed only if there are several. An (N, 2) MATLAB matrix is time and
@@ -87,7 +90,7 @@ def read_record(
     ...     read_record(path)
     Record('pulse', 3 samples, dt=0.02 s, duration=0.04 s, pga=1.962 m/s^2)
     """
-    request = checked(Request(units=units, dt=dt, wrapped=wrapped))
+    request = checked(Request(units=units, dt=step_or_rate(dt, fs), wrapped=wrapped))
     columns = None if column is None else [check_column(column, "column")]
     recording = recording_from(path, request, "path")
     found = chosen(recording, columns, "column")

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 from scipy.io import savemat
 
-from pymc_features import read_channels
+from pymc_features import read_channels, read_record
 from pymc_features.exceptions import ChannelWarning
 from pymc_features.io.reading.clock import Clock, common_window, even_clock
 from pymc_features.signals import check_channels
@@ -171,6 +171,19 @@ def test_units_of_clocks(tmp_path, scale, settings):
     channels = read_channels(paths, units="m/s^2", **settings)
     np.testing.assert_allclose(channels.values, MOTION[:3, 2:N], atol=1e-9)
     assert float(channels["time"][1]) == pytest.approx(0.02, rel=1e-9)
+
+
+def test_sampling_rate(tmp_path):
+    """Of all files, or of that of one sensor."""
+    path = tmp_path / "a.csv"
+    path.write_text("a [m/s^2],b [m/s^2]\n0,1\n1,2\n2,3\n")
+    np.testing.assert_allclose(read_channels(path, fs=200.0)["time"], [0.0, 0.005, 0.01])
+    sensors = {"a": {"file": path, "column": "a", "fs": 100}, "b": {"file": path, "column": "b", "dt": 0.01}}
+    np.testing.assert_allclose(read_channels(sensors)["time"], [0.0, 0.01, 0.02])
+    assert read_record(path, column="a", fs=50.0).dt == 0.02
+    sensors["a"]["dt"] = 0.01
+    with pytest.raises(TypeError, match="`fs` must be left out where `dt` is given"):
+        read_channels(sensors)
 
 
 def test_files_without_clocks_start_together(tmp_path):
