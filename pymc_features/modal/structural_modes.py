@@ -15,11 +15,11 @@ from pytensor.tensor.variable import TensorVariable
 from scipy import sparse
 
 from pymc_features._checks import check_integer
-from pymc_features.ops.base import count, shapes
 from pymc_features.ops.gradient import filled, undefined
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.population import as_rows, without_unit_batch
 from pymc_features.ops.response import as_data
+from pymc_features.ops.structural import count, shapes
 from pymc_features.records import Record
 from pymc_features.simulators import FAMILIES, Outputs
 from pymc_features.simulators.linear.known import KNOWN

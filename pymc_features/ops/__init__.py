@@ -1,7 +1,7 @@
 """The PyTensor Ops of the package, and their Numba dispatch."""
 
-from pymc_features.ops import external_dispatch, jax_loader, numba_dispatch
-from pymc_features.ops.base import check_shape
+from pymc_features.ops import jax_loader, numba_dispatch
+from pymc_features.ops.axes import by_labels, check_dims, known_dims, name_the_time_axis
 from pymc_features.ops.comparison import (
     DiscrepancyTangent,
     MisfitGradient,
@@ -12,9 +12,7 @@ from pymc_features.ops.comparison import (
     misfit_statistics,
 )
 from pymc_features.ops.external import ExternalDiscrepancy, ExternalGradient, ExternalResponse
-from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
-from pymc_features.ops.labels import by_labels
-from pymc_features.ops.no_gradient import NoGradient
+from pymc_features.ops.gradient import NoGradient, ResponseGradient, ResponseTangent
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
 from pymc_features.ops.response import (
     StructuralResponse,
@@ -26,7 +24,7 @@ from pymc_features.ops.response import (
     structural_node,
     was_simulated,
 )
-from pymc_features.ops.time_axis import check_dims, known_dims, name_the_time_axis
+from pymc_features.ops.structural import check_shape
 from pymc_features.structures.base import as_tensor
 
 OPS = numba_dispatch.OPS
@@ -57,7 +55,6 @@ __all__ = [
     "measured_samples",
     "misfit_statistics",
     "name_the_time_axis",
-    "external_dispatch",
     "frequencies_behind",
     "noisy_base",
     "numba_dispatch",

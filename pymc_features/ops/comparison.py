@@ -17,11 +17,11 @@ from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.blockwise import Blockwise
 
 from pymc_features._checks import as_numbers
-from pymc_features.ops.base import StructuralOp, check_shape
 from pymc_features.ops.external import ExternalResponse
 from pymc_features.ops.gradient import Gradient, ResponseTangent, Tangent, gradient_op
 from pymc_features.ops.long_records import FromTable
 from pymc_features.ops.response import StructuralResponse, response_node
+from pymc_features.ops.structural import StructuralOp, check_shape
 from pymc_features.structures.base import as_tensor
 
 HISTORY = "Pass a history (..., sensor, time)."

@@ -12,7 +12,7 @@ from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor.blockwise import Blockwise
 
 from pymc_features.exceptions import NotDifferentiableError
-from pymc_features.ops.base import check_shape
+from pymc_features.ops.structural import check_shape
 
 
 class ExternalOp(Op):

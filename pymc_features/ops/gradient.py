@@ -10,9 +10,14 @@ import functools
 import pytensor.tensor as pt
 from pytensor.gradient import DisconnectedType, disconnected_type, grad_undefined
 from pytensor.graph.basic import Apply, Constant
+from pytensor.graph.op import Op
+from pytensor.graph.replace import _vectorize_node
+from pytensor.graph.rewriting.basic import node_rewriter
 from pytensor.tensor.basic import Join
+from pytensor.tensor.rewriting.basic import register_specialize
 
-from pymc_features.ops.base import StructuralOp
+from pymc_features.exceptions import NotDifferentiableError
+from pymc_features.ops.structural import StructuralOp
 
 
 def undefined(op, inputs, i):
@@ -174,3 +179,41 @@ class ResponseTangent(Tangent):
 
     def transpose(self, inputs, cotangents):
         return gradient_op(self, ResponseGradient, inputs)(*inputs, *cotangents, return_list=True)
+
+
+class NoGradient(Op):
+    """Its input, unchanged; a gradient raises `NotDifferentiableError`.
+
+    No `ViewOp`, which PyTensor removes before a gradient is taken; this one goes when a graph is compiled.
+    """
+
+    __props__ = ("reason",)
+    view_map = {0: [0]}
+
+    def __init__(self, reason: str):
+        self.reason = reason
+
+    def make_node(self, x):
+        return Apply(self, [x], [x.type()])
+
+    def perform(self, node, inputs, output_storage):
+        output_storage[0][0] = inputs[0]
+
+    def infer_shape(self, node, shapes):
+        return shapes
+
+    def pullback(self, inputs, outputs, cotangents):
+        raise NotDifferentiableError(self.reason)
+
+
+@_vectorize_node.register(NoGradient)
+def vectorize_no_gradient(op, node, batched):
+    """Do without a gradient of a batch."""
+    return [op(batched)]
+
+
+@register_specialize
+@node_rewriter([NoGradient])
+def local_remove_no_gradient(fgraph, node):
+    """Samplers have been told; the compiled function need not know."""
+    return [node.inputs[0]]

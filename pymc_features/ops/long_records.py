@@ -8,7 +8,7 @@ import hashlib
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant
 
-from pymc_features.ops.base import prepared
+from pymc_features.ops.structural import prepared
 from pymc_features.simulators.long_records.misfits import Asked, Tables, from_table
 
 # steps of the recursion, for a population: with fewer, 25 us for ten masses, the march is done before the

@@ -6,6 +6,7 @@ code into each function of a graph that calls it, directly or not, and optimise 
 
 import functools
 import hashlib
+import warnings
 from pathlib import Path
 
 import llvmlite.binding as llvm
@@ -15,6 +16,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic, overload
 from pytensor.link.numba.dispatch.basic import (
     default_hash_key_from_props,
+    generate_fallback_impl,
     get_numba_type,
     numba_njit,
     register_funcify_and_cache_key,
@@ -25,6 +27,13 @@ from pymc_features.ops.comparison import (
     MisfitGradient,
     StructuralDiscrepancy,
     StructuralMisfit,
+)
+from pymc_features.ops.excitation import OwnValues, Refined
+from pymc_features.ops.external import (
+    ExternalDiscrepancy,
+    ExternalDiscrepancyGradient,
+    ExternalGradient,
+    ExternalResponse,
 )
 from pymc_features.ops.gradient import ResponseGradient, ResponseTangent
 from pymc_features.ops.long_records import hash_of_data, is_known_long
@@ -196,3 +205,15 @@ def run_in_python(*ops):
 
     for op in ops:
         register_funcify_and_cache_key(op)(funcify_call)
+
+
+def funcify_perform(op, node=None, **kwargs):
+    """A call of `perform`, without a warning; no key, for machine code that holds a simulator is not kept."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Numba will use object mode", category=UserWarning)
+        return generate_fallback_impl(op, node=node, **kwargs), None
+
+
+EXTERNAL = ExternalResponse, ExternalDiscrepancy, ExternalGradient, ExternalDiscrepancyGradient
+for _op in (*EXTERNAL, OwnValues, Refined):
+    register_funcify_and_cache_key(_op)(funcify_perform)

@@ -6,7 +6,6 @@ from pytensor.graph.basic import Apply
 from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor.blockwise import Blockwise
 
-from pymc_features.ops.base import StructuralOp, count
 from pymc_features.ops.comparison import (
     DiscrepancyTangent,
     MisfitGradient,
@@ -16,6 +15,7 @@ from pymc_features.ops.comparison import (
 )
 from pymc_features.ops.gradient import gradient_op
 from pymc_features.ops.long_records import FromTable
+from pymc_features.ops.structural import StructuralOp, count
 
 
 class PopulationComparison(StructuralOp):

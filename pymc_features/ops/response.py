@@ -20,10 +20,10 @@ from scipy import sparse
 
 from pymc_features._checks import shown
 from pymc_features.algebra import to_dense
-from pymc_features.ops.base import StructuralOp
 from pymc_features.ops.excitation import excitation_in_model, request_in_model
 from pymc_features.ops.external import ExternalResponse
 from pymc_features.ops.gradient import ResponseGradient, gradient_op
+from pymc_features.ops.structural import StructuralOp
 from pymc_features.records import CyclicTest, DynamicLoad, Loading, Record
 from pymc_features.simulators import (
     HISTORIES,

@@ -7,7 +7,7 @@ import xarray as xr
 from pymc_features.simulators.excitation import excitation_of, refined_request
 from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
-from pymc_features.simulators.nonlinear.response import DRIFT, INTERNAL_VARIABLE, SPRING_FORCE
+from pymc_features.simulators.nonlinear.marches import DRIFT, INTERNAL_VARIABLE, SPRING_FORCE
 from pymc_features.simulators.request import request
 from pymc_features.simulators.simulate import check_arguments
 

@@ -33,8 +33,8 @@ from pymc_features.ops import (
     StructuralDiscrepancy,
     StructuralResponse,
 )
-from pymc_features.ops.base import count
 from pymc_features.ops.gradient import Gradient, is_constant
+from pymc_features.ops.structural import count
 from pymc_features.simulators import FAMILIES, QUANTITIES
 from support.graphs import PLAIN, our_ops
 from support.kernels import (

@@ -30,7 +30,7 @@ from pymc_features.ops import (
     StructuralMisfit,
     StructuralResponse,
 )
-from pymc_features.ops.base import count
+from pymc_features.ops.structural import count
 from pymc_features.simulators import FAMILIES, QUANTITIES, n_outputs
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT
 from support.graphs import PLAIN, REWRITTEN, our_ops, our_ops_of

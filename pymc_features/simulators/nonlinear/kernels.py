@@ -19,7 +19,7 @@ from pymc_features.simulators.nonlinear.law import (
     padded,
     particle,
 )
-from pymc_features.simulators.nonlinear.response import (
+from pymc_features.simulators.nonlinear.marches import (
     history_kernel,
     march_kernel,
     misfit_kernel,

@@ -8,7 +8,7 @@ import pytensor
 import pytensor.tensor as pt
 from numba import types
 
-from pymc_features.ops.no_gradient import NoGradient
+from pymc_features.ops.gradient import NoGradient
 from support.commands import run_python
 from support.hooks.checks import INTERPRETED, check
 
