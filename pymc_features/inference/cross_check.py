@@ -27,6 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features.smc.proposals.arms import GRADIENT_COST
 from pymc_features.smc.proposals.ascent import climb
 from pymc_features.smc.proposals.fitted import heavy_tailed
 from pymc_features.smc.proposals.mixture import log_sum, pareto_k, pareto_smoothed
@@ -50,7 +51,7 @@ LEAST_OF_FIT, OF_MODES = 0.1, 0.2  # of what the run knew, in the reference of t
 DIFFERENCE = 1e-5  # step of difference quotients, in prior standard deviations, of models without gradients
 LEAST_PRIOR, LEAST_DRAWS = 100, 16  # draws of the prior, for its scale, and of the fit
 THOROUGH = 30_000, 1000  # draws of the fit, and climbs from the prior
-OF_A_CLIMB, OF_A_GRADIENT = 75, 3  # evaluations, on structural posteriors with wide priors
+OF_A_CLIMB = 75  # evaluations, on structural posteriors with wide priors
 FULL_RUN = 2000  # draws of a run that is checked in full
 OF_RUN, OF_DEAR_RUN = 0.4, 0.05  # evaluations of the check over those of the run, at most
 OF_A_SECOND = 1e8  # observed numbers that a population of linear structures compares in a second
@@ -187,7 +188,7 @@ def affordable(
         return Effort(draws, climbs)
     size = min(1.0, n_draws / FULL_RUN)
     draws, climbs = draws * size, climbs * size
-    of_a_climb = OF_A_CLIMB * max(1.0, n_differences / OF_A_GRADIENT)
+    of_a_climb = OF_A_CLIMB * max(1.0, n_differences / GRADIENT_COST)
     budget = spent * OF_DEAR_RUN if dear else max(spent * OF_RUN, OF_A_SECOND / max(n_data, 1))
     part = min(1.0, budget / (draws + climbs * of_a_climb))
     return Effort(max(int(part * draws), LEAST_DRAWS), int(part * climbs))

@@ -15,7 +15,7 @@ from pymc_features._checks import check_choice, check_mapping, check_model, chec
 from pymc_features.exceptions import NoSpreadError, SamplingWarning
 from pymc_features.external.workers.calls import one_thread_each
 from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
-from pymc_features.inference.cross_check import OF_A_GRADIENT, Density, affordable, cross_check
+from pymc_features.inference.cross_check import Density, affordable, cross_check
 from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
 from pymc_features.smc import (
     PersistentSMC,
@@ -30,6 +30,7 @@ from pymc_features.smc import (
     sample_smc,
 )
 from pymc_features.smc.kernels.checkpoint import Journal, model_fingerprint, remembered
+from pymc_features.smc.proposals.arms import GRADIENT_COST
 from pymc_features.smc.proposals.pool import LARGEST_K, LARGEST_SHARE
 
 AGREEMENT = 1.01  # largest R-hat of runs that agree
@@ -272,7 +273,7 @@ def cross_checked(idata, found, model, space, logp, thorough, rng, settings) -> 
     rare = False
     for n_repeats in range(MOST_REPEATS + 1):
         stats, draws = idata["sample_stats"], compared_draws(model, idata["posterior"])
-        spent = OF_A_GRADIENT * (stats["gradients"].sum().item() + found.search_gradients)
+        spent = GRADIENT_COST * (stats["gradients"].sum().item() + found.search_gradients)
         spent += stats["evaluations"].sum().item() + found.search_evaluations
         size = idata["posterior"].sizes["chain"] * idata["posterior"].sizes["draw"]
         dear = logp.is_expensive or not logp.batched

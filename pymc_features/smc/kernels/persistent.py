@@ -67,7 +67,7 @@ class PersistentSMC(LastDraws, PopulationKernel):
     -----
     The chains move by independent draws from the proposal, by shorter moves that leave it invariant, and by
     differential evolution, with and without the map; each kind as often as it pays in the run itself. So do
-    Hamiltonian trajectories; a gradient counts for eight values, a constant for the sake of reproducible
+    Hamiltonian trajectories; a gradient counts for three values, a constant for the sake of reproducible
     draws. Where no fit is good at the end, there is a warning; if chains followed trajectories, their points
     count as well, and the standard error of the evidence is then too small.
 
