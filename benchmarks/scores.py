@@ -50,7 +50,7 @@ def score(results, seconds, exact):
     """Return the score of a list of results and their seconds against an `ExactPosterior`."""
     effective, errors = [], []
     for name in NAMES:
-        marginal = getattr(exact, name)
+        marginal = exact.marginals[name]
         mean, variance = moments(marginal)
         draws = [getattr(result, name) for result in results]
         effective.append(variance / np.mean([(np.mean(values) - mean) ** 2 for values in draws]))

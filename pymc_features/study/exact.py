@@ -32,7 +32,7 @@ from scipy.special import expit, gammaincc, gammaln, logit
 from pymc_features.calibration.residuals import Comparison, Event
 from pymc_features.calibration.sandwich import sandwich, stretching
 from pymc_features.likelihoods import LIKELIHOODS, abc_tolerance
-from pymc_features.likelihoods.catalogue import EXP, NORM, Exponents
+from pymc_features.likelihoods.catalogue import NORM, Exponents
 from pymc_features.study import paper
 
 PARAMETERS = ("theta", "sigma", "tau")
@@ -44,25 +44,66 @@ NEGLIGIBLE = 1e-12
 DIFFERENCE = 1e-4  # of theta, over which the response is differentiated
 
 
-class Marginal(NamedTuple):
-    """A distribution on a grid: nodes (n,) ascending, density (n,), probability below (n,)."""
+class Grid(NamedTuple):
+    """Nodes (n,) of a parameter, ascending; the even variable u (n,) that they follow; d prior / d u (n,)."""
 
     nodes: np.ndarray
-    density: np.ndarray
-    below: np.ndarray
+    u: np.ndarray
+    slope: np.ndarray
 
-    @classmethod
-    def on_grid(cls, nodes, weights, u):
-        """Normalise `weights`, the density times d nodes / d u, on an even grid `u`."""
-        cumulative = CubicSpline(u, weights).antiderivative()(u)
-        cumulative = np.maximum.accumulate(cumulative - cumulative[0])
-        slopes = np.gradient(nodes, u)
-        return cls(nodes, weights / slopes / cumulative[-1], cumulative / cumulative[-1])
+
+class Marginal(NamedTuple):
+    """A distribution on a grid: nodes (n,) ascending, probability below them (n,)."""
+
+    nodes: np.ndarray
+    below: np.ndarray
 
     def quantile(self, probability):
         """Quantiles, shape of `probability`."""
         inside = np.concatenate([[True], np.diff(self.below) > 1e-15])
         return PchipInterpolator(self.below[inside], self.nodes[inside])(probability)
+
+
+class ExactPosterior(NamedTuple):
+    """Marginals by parameter, the maximum in their order, log evidence, and the log-density.
+
+    `log_density` takes parameters by name, arrays that broadcast, and returns an array, up to a constant.
+    """
+
+    marginals: dict[str, Marginal]
+    map: tuple[float, ...]
+    log_evidence: float
+    log_density: Callable[[dict], np.ndarray]
+
+    @property
+    def statistics(self) -> np.ndarray:
+        """Maximum and quantiles (parameter, statistic), NaN for what is no parameter."""
+        table = np.full((len(PARAMETERS), len(STATISTICS)), np.nan)
+        for name, best in zip(self.marginals, self.map, strict=True):
+            table[PARAMETERS.index(name)] = best, *self.marginals[name].quantile(PROBABILITIES)
+        return table
+
+
+def log_masses(log_density: Callable[[dict], np.ndarray], grids: dict[str, Grid]) -> np.ndarray:
+    """Log-density times d prior / d u at all nodes of some grids, one dimension for each."""
+    nodes = np.ix_(*(grid.nodes for grid in grids.values()))
+    with np.errstate(divide="ignore"):
+        slopes = np.ix_(*(np.log(grid.slope) for grid in grids.values()))
+    return log_density(dict(zip(grids, nodes, strict=True))) + sum(slopes)
+
+
+def integrate(log_mass: np.ndarray, grids: dict[str, Grid]) -> tuple[dict[str, Marginal], float]:
+    """Marginals and the log of the whole mass, whose logarithms are `log_masses`, by the trapezoidal rule."""
+    top, marginals = log_mass.max(), {}
+    mass = np.exp(log_mass - top)
+    for axis, (name, grid) in enumerate(grids.items()):
+        along = mass
+        for other, rest in reversed(list(enumerate(grids.values()))):
+            along = along if other == axis else np.trapezoid(along, rest.u, axis=other)
+        below = CubicSpline(grid.u, along).antiderivative()(grid.u)
+        below = np.maximum.accumulate(below - below[0])
+        marginals[name] = Marginal(grid.nodes, below / below[-1])
+    return marginals, float(np.log(np.trapezoid(along, grid.u)) + top)
 
 
 class DiscrepancyCurve:
@@ -85,8 +126,10 @@ class DiscrepancyCurve:
         theta_hat, S_min and a in S = S_min + a (theta - theta_hat)^2 near it.
     scale : float
         Standard deviation of theta under NORM.
-    u, theta, slope, values : array (n_nodes,)
-        Even grid variable, nodes, d theta / d u, and S.
+    grid : Grid (n_nodes,)
+        Nodes of theta.
+    values : array (n_nodes,)
+        S there.
     """
 
     def __init__(
@@ -96,8 +139,7 @@ class DiscrepancyCurve:
         n_data: int,
         n_nodes: int = N_THETA,
     ):
-        low, high = self.bounds = bounds
-        self.total = total
+        self.total, self.bounds, (low, high) = total, bounds, bounds
         coarse = np.linspace(low, high, 401)
         rough = np.array([total(t) for t in coarse])
         best = int(rough.argmin())
@@ -108,18 +150,22 @@ class DiscrepancyCurve:
         sides = [total(self.minimiser + s * h) - self.minimum for s in (-1, 1)]
         self.curvature = float(sum(sides)) / (2.0 * h * h)
         self.scale = np.sqrt(self.minimum / self.curvature / n_data)
-        self.u = np.linspace(*map(self.grid_variable, bounds), n_nodes)
-        self.theta = np.clip(self.minimiser + self.scale * np.sinh(self.u), low, high)
-        self.slope = self.scale * np.cosh(self.u)
-        self.values = np.array([total(t) for t in self.theta])
+        self.grid = self.grid_at(np.linspace(*map(self.grid_variable, bounds), n_nodes))
+        self.values = np.array([total(t) for t in self.grid.nodes])
 
     def grid_variable(self, theta):
         """u of theta, in which the nodes are even."""
         return np.arcsinh((theta - self.minimiser) / self.scale)
 
+    def grid_at(self, u: np.ndarray) -> Grid:
+        """Nodes at some values of u."""
+        low, high = self.bounds
+        theta = np.clip(self.minimiser + self.scale * np.sinh(u), low, high)
+        return Grid(theta, u, self.scale * np.cosh(u) / (high - low))
+
     def at(self, theta):
         """S between the nodes, by straight lines."""
-        return np.interp(theta, self.theta, self.values)
+        return np.interp(theta, self.grid.nodes, self.values)
 
 
 class Stretch(NamedTuple):
@@ -136,13 +182,14 @@ class Stretch(NamedTuple):
         """x of y."""
         return self._moved(y, self.factor)
 
-    def outside(self, x):
-        """y of x, and its slope."""
+    def grid(self, of_x: Grid) -> Grid:
+        """The grid of y that belongs to one of x."""
+        x, (low, high) = of_x.nodes, self.bounds
         y = self._moved(x, 1.0 / self.factor)
-        low, high = self.bounds
         with np.errstate(invalid="ignore"):
             slope = (y - low) * (high - y) / ((x - low) * (high - x)) / self.factor
-        return y, np.nan_to_num(slope)  # at the bounds, where nothing is left of the likelihood
+        # not a number at the bounds, where nothing is left of the likelihood
+        return Grid(y, of_x.u, of_x.slope * np.nan_to_num(slope))
 
     def _moved(self, x, factor):
         low, high = self.bounds
@@ -150,53 +197,45 @@ class Stretch(NamedTuple):
         return low + (high - low) * expit(at + factor * (logit((x - low) / (high - low)) - at))
 
 
-class ExactPosterior(NamedTuple):
-    """Posterior of theta and sigma: marginals, maximum, and log evidence."""
-
-    theta: Marginal
-    sigma: Marginal
-    map: tuple[float, float]
-    log_evidence: float
-
-
 def exact_posterior(
     curve: DiscrepancyCurve,
     exponents: Exponents,
-    sigma_bounds: tuple[float, float],
-    stretches: tuple[Stretch, Stretch] | None = None,
+    sigma_bounds: tuple[float, float] = paper.SIGMA_RANGE,
+    *,
+    sigma: float | None = None,
+    stretches: dict[str, Stretch] | None = None,
 ) -> ExactPosterior:
-    """Integrate the posterior under uniform priors of theta and sigma.
+    """Posterior of theta, and of sigma unless it is known, under uniform priors by a likelihood of one curve.
 
     `stretches` are those of the likelihood along theta and sigma, about its maximum.
     """
-    m, c, _ = exponents
-    low, high = sigma_bounds
-    best_sigma = min(np.sqrt(c * curve.minimum / m), high)
+    m, c, constant = exponents
+    grids, best = {"theta": curve.grid}, (curve.minimiser,)
+    if sigma is None:
+        of_sigma = float(min(np.sqrt(c * curve.minimum / m), sigma_bounds[1]))
+        grids["sigma"], best = scale_grid(of_sigma, m, sigma_bounds), (curve.minimiser, of_sigma)
+    if stretches is not None:
+        grids = {name: stretch.grid(grids[name]) for name, stretch in stretches.items()}
+
+    def log_density(draws):
+        if stretches is not None:
+            draws = {name: stretch.inside(draws[name]) for name, stretch in stretches.items()}
+        scale = draws["sigma"] if sigma is None else sigma
+        return constant - m * np.log(scale) - c * curve.at(draws["theta"]) / (2.0 * scale**2)
+
+    marginals, log_evidence = integrate(log_masses(log_density, grids), grids)
+    return ExactPosterior(marginals, best, log_evidence, log_density)
+
+
+def scale_grid(best: float, m: float, bounds: tuple[float, float]) -> Grid:
+    """Nodes of sigma about the best one, fine there, down to where nothing is left of the likelihood."""
+    low, high = bounds
     width = 1.0 / np.sqrt(2.0 * m)
     # below this, exp(-c S_min / (2 sigma^2)) is smaller than 1e-30 of its maximum
-    floor = max(low, best_sigma / np.sqrt(1.0 + 150.0 / m + np.sqrt(300.0 / m)))
-    ends = [np.arcsinh(np.log(s / best_sigma) / width) for s in (floor, high)]
-    t = np.linspace(*ends, N_SIGMA)
-    sigma = np.clip(best_sigma * np.exp(width * np.sinh(t)), floor, high)
-    slope = sigma * width * np.cosh(t)
-    log_likelihood = -m * np.log(sigma) - c * curve.values[:, None] / (2.0 * sigma**2)
-    top = log_likelihood.max()
-    mass = np.exp(log_likelihood - top) * curve.slope[:, None] * slope
-    theta = curve.theta
-    if stretches is not None:
-        (theta, of_theta), (sigma, of_sigma) = (
-            stretch.outside(x) for stretch, x in zip(stretches, (theta, sigma), strict=True)
-        )
-        mass *= of_theta[:, None] * of_sigma
-    du, dt = curve.u[1] - curve.u[0], t[1] - t[0]
-    volume = (curve.bounds[1] - curve.bounds[0]) * (high - low)
-    evidence = np.trapezoid(np.trapezoid(mass, dx=dt, axis=1), dx=du) / volume
-    return ExactPosterior(
-        Marginal.on_grid(theta, np.trapezoid(mass, dx=dt, axis=1), curve.u),
-        Marginal.on_grid(sigma, np.trapezoid(mass, dx=du, axis=0), t),
-        (curve.minimiser, float(best_sigma)),
-        float(np.log(evidence) + top + exponents.constant),
-    )
+    floor = max(low, best / np.sqrt(1.0 + 150.0 / m + np.sqrt(300.0 / m)))
+    u = np.linspace(*(np.arcsinh(np.log(s / best) / width) for s in (floor, high)), N_SIGMA)
+    nodes = np.clip(best * np.exp(width * np.sinh(u)), floor, high)
+    return Grid(nodes, u, nodes * width * np.cosh(u) / (high - low))
 
 
 def tolerance_interval(curve: DiscrepancyCurve, delta: float) -> tuple[float, float]:
@@ -206,13 +245,11 @@ def tolerance_interval(curve: DiscrepancyCurve, delta: float) -> tuple[float, fl
             f"`delta` must exceed the smallest discrepancy {curve.minimum:.6g}, got {delta:.6g}. "
             "Use the 90 % quantile of sigma under EXP."
         )
-    ends = []
-    for direction, bound in ((-1, curve.bounds[0]), (1, curve.bounds[1])):
-        side = curve.theta[direction * (curve.theta - curve.minimiser) > 0]
-        values = curve.values[direction * (curve.theta - curve.minimiser) > 0]
-        outside = side[values > delta]
+    theta, ends = curve.grid.nodes, []
+    for direction in (-1, 1):
+        outside = theta[(curve.values > delta) & (direction * (theta - curve.minimiser) > 0)]
         if outside.size == 0:
-            ends.append(bound)
+            ends.append(theta[0] if direction < 0 else theta[-1])
             continue
         first = outside[np.abs(outside - curve.minimiser).argmin()]
         ends.append(brentq(lambda t: curve.total(t) - delta, curve.minimiser, first, xtol=1e-13))
@@ -236,87 +273,71 @@ def weighted_square(sums, dt: float, tau):
     return first - form / np.expm1(-2.0 * dt / tau)
 
 
-def log_determinant(n_sensors: int, n_times: int, dt: float, tau):
-    """Half the log-determinant of all correlation matrices."""
-    return 0.5 * n_sensors * (n_times - 1) * np.log(-np.expm1(-2.0 * dt / tau))
-
-
-def correlated_exponents(n_sensors: int, n_times: int, dt: float, tau: float) -> Exponents:
-    """Exponents in W of the likelihood with tau known, and its constant."""
+def correlated_exponents(n_sensors: int, n_times: int, dt: float, tau) -> Exponents:
+    """Exponents in W of the likelihood with this tau, and its constant: of the determinant, too."""
     n = n_sensors * n_times
-    constant = -0.5 * n * np.log(2.0 * np.pi) - log_determinant(n_sensors, n_times, dt, tau)
-    return Exponents(n, 1.0, constant)
+    determinant = n_sensors * (n_times - 1) * np.log(-np.expm1(-2.0 * dt / tau))
+    return Exponents(n, 1.0, -0.5 * (n * np.log(2.0 * np.pi) + determinant))
 
 
-def known_scale_posterior(curve: DiscrepancyCurve, exponents: Exponents, sigma: float):
-    """Marginal of theta and log evidence with sigma known; `curve` is that of W."""
-    log_weights = -0.5 * (curve.values - curve.minimum) / sigma**2
-    mass = np.exp(log_weights) * curve.slope
-    marginal = Marginal.on_grid(curve.theta, mass, curve.u)
-    low, high = curve.bounds
-    evidence = np.trapezoid(mass, curve.u) / (high - low)
-    top = -exponents.m * np.log(sigma) - 0.5 * curve.minimum / sigma**2 + exponents.constant
-    return marginal, float(np.log(evidence) + top)
-
-
-def unknown_time_posterior(curve, sums, shape, dt, sigma_bounds, tau_bounds):
-    """Integrate the posterior under uniform priors of theta, sigma (from zero) and ln(tau).
+def unknown_time_posterior(
+    curve: DiscrepancyCurve,
+    sums: Callable[[np.ndarray], np.ndarray],
+    shape: tuple[int, int],
+    dt: float,
+    largest_sigma: float = paper.SIGMA_RANGE[1],
+    tau_bounds: tuple[float, float] = paper.TAU_RANGE,
+) -> ExactPosterior:
+    """Posterior under uniform priors of theta, sigma (from zero) and ln(tau).
 
     Parameters
     ----------
     curve : DiscrepancyCurve
         Of S, for its nodes.
-    sums : array (4, n)
-        At the nodes of `curve`; see `weighted_square`.
+    sums : callable
+        theta -> array (4, ...), see `weighted_square`.
     shape : tuple of int
         Sensors and samples.
     dt : float
         Sampling step [s].
-    sigma_bounds, tau_bounds : tuple of float
+    largest_sigma, tau_bounds : float and tuple of float
         Of the priors.
-
-    Returns
-    -------
-    marginals : dict
-        Of theta, sigma and tau.
-    best : tuple of float
-        theta, sigma and tau of the highest density.
-    log_evidence : float
     """
     half = 0.5 * (np.prod(shape) - 1.0)
-    top_sigma, log_bounds = sigma_bounds[1], np.log(tau_bounds)
-    spline = CubicSpline(curve.u, sums, axis=1)
+    of_sigma = gammaln(half) - np.log(2.0 * largest_sigma)
 
-    def masses(u, log_tau):
-        tau = np.exp(log_tau)
-        weighted = weighted_square(spline(u)[:, :, None], dt, tau)
-        log_p = -half * np.log(0.5 * weighted) - log_determinant(*shape, dt, tau)
+    def log_density(draws):
+        m, c, constant = correlated_exponents(*shape, dt, draws["tau"])
+        weighted, sigma = weighted_square(sums(draws["theta"]), dt, draws["tau"]), draws["sigma"]
+        return constant - m * np.log(sigma) - c * weighted / (2.0 * sigma**2)
+
+    def without_sigma(draws):
+        constant = correlated_exponents(*shape, dt, draws["tau"]).constant + of_sigma
+        weighted = weighted_square(sums(draws["theta"]), dt, draws["tau"])
         with np.errstate(divide="ignore"):
-            log_p += np.log(gammaincc(half, 0.5 * weighted / top_sigma**2))
-        slope = np.interp(u, curve.u, curve.slope)
-        return weighted, log_p, log_p + np.log(slope)[:, None]
+            tail = np.log(gammaincc(half, 0.5 * weighted / largest_sigma**2))
+        return constant - half * np.log(0.5 * weighted) + tail
 
-    u, log_tau = curve.u[::6], np.linspace(*log_bounds, N_COARSE)
-    *_, log_mass = masses(u, log_tau)
+    def grids_at(u, log_tau):
+        even = np.full(log_tau.size, 1.0 / np.ptp(np.log(tau_bounds)))
+        return {"theta": curve.grid_at(u), "tau": Grid(np.exp(log_tau), log_tau, even)}
+
+    u, log_tau = curve.grid.u[::6], np.linspace(*np.log(tau_bounds), N_COARSE)
+    log_mass = log_masses(without_sigma, grids_at(u, log_tau))
     matters = log_mass > log_mass.max() + np.log(NEGLIGIBLE)
     u = spread(u, matters.any(axis=1), N_SPREAD)
-    log_tau = spread(log_tau, matters.any(axis=0), N_TAU)
-    weighted, log_p, log_mass = masses(u, log_tau)
-    top = log_mass.max()
-    mass = np.exp(log_mass - top)
-    over_theta = np.trapezoid(mass, u, axis=0)
-    theta = np.interp(u, curve.u, curve.theta)
-    marginals = {
-        "theta": Marginal.on_grid(theta, np.trapezoid(mass, log_tau, axis=1), u),
-        "sigma": scale_marginal(weighted[::4, ::4], mass[::4, ::4], half, top_sigma),
-        "tau": Marginal.on_grid(np.exp(log_tau), over_theta, log_tau),
-    }
-    i, j = np.unravel_index(log_p.argmax(), log_p.shape)
-    best = float(theta[i]), float(np.sqrt(weighted[i, j] / np.prod(shape))), float(np.exp(log_tau[j]))
-    volume = (curve.bounds[1] - curve.bounds[0]) * top_sigma * (log_bounds[1] - log_bounds[0])
-    evidence = np.log(np.trapezoid(over_theta, log_tau)) + top - np.log(volume)
-    constant = gammaln(half) - np.log(2.0) - 0.5 * np.prod(shape) * np.log(2.0 * np.pi)
-    return marginals, best, float(evidence + constant)
+    grids = grids_at(u, spread(log_tau, matters.any(axis=0), N_TAU))
+    log_mass = log_masses(without_sigma, grids)
+    marginals, log_evidence = integrate(log_mass, grids)
+    theta, tau = grids["theta"].nodes, grids["tau"].nodes
+    weighted = weighted_square(sums(theta[:, None]), dt, tau)
+    mass = np.exp(log_mass - log_mass.max())
+    marginals["sigma"] = scale_marginal(weighted[::4, ::4], mass[::4, ::4], half, largest_sigma)
+    slope = np.log(grids["theta"].slope)[:, None]
+    i, j = np.unravel_index((log_mass - slope).argmax(), log_mass.shape)
+    best = float(theta[i]), float(np.sqrt(weighted[i, j] / np.prod(shape))), float(tau[j])
+    marginals = {name: marginals[name] for name in PARAMETERS}
+    return ExactPosterior(marginals, best, log_evidence, log_density)
 
 
 def spread(nodes, matters, n):
@@ -326,14 +347,14 @@ def spread(nodes, matters, n):
     return np.linspace(nodes[first], nodes[last], n)
 
 
-def scale_marginal(weighted, mass, half, top_sigma):
+def scale_marginal(weighted, mass, half, largest):
     """Marginal of sigma: W / (2 sigma^2) is a gamma variable given theta and tau."""
     matters = mass > NEGLIGIBLE
     weighted, mass = weighted[matters], mass[matters] / mass[matters].sum()
     best, width = np.sqrt(0.5 * weighted / half), 8.0 / np.sqrt(4.0 * half)
-    sigma = np.linspace(best.min() * (1.0 - width), min(best.max() * (1.0 + width), top_sigma), N_SCALE)
+    sigma = np.linspace(best.min() * (1.0 - width), min(best.max() * (1.0 + width), largest), N_SCALE)
     below = np.array([mass @ gammaincc(half, 0.5 * weighted / s**2) for s in sigma])
-    return Marginal(sigma, np.gradient(below, sigma), below / below[-1])
+    return Marginal(sigma, below / below[-1])
 
 
 @dataclass(eq=False)
@@ -343,8 +364,8 @@ class Step:
     Parameters
     ----------
     sums : callable
-        theta -> array (4,): sums over the sensors of e_j, of the mean squared increments of the misfit, and
-        of its first and last square.
+        theta -> array (4, ...): sums over sensors and samples of the squares of the misfit and of its
+        increments, and over the sensors of its first and last square.
     data : DataArray (sensor, time)
         Measurements.
     dt : float
@@ -357,83 +378,40 @@ class Step:
         theta -> array (m,), natural frequencies of the structure [Hz].
     """
 
-    sums: Callable[[float], np.ndarray]
+    sums: Callable[[np.ndarray], np.ndarray]
     data: xr.DataArray
     dt: float
     scale: float
     response: Callable[[float], np.ndarray]
     frequencies: Callable[[float], np.ndarray]
 
-    def __post_init__(self):
-        self.shape = self.data.shape
-        self._known: dict[float, np.ndarray] = {}
-
-    def at(self, theta: float) -> np.ndarray:
-        """Sums (4,) over sensors and samples: squares, squared increments, first and last square."""
-        if theta not in self._known:
-            n_times = self.shape[1]
-            self._known[theta] = self.sums(theta) * np.array([n_times, n_times, 1.0, 1.0])
-        return self._known[theta]
-
     @cached_property
     def curve(self) -> DiscrepancyCurve:
         """S(theta), the sum of mean squares."""
-        return self._curve(lambda theta: float(self.at(theta)[0]) / self.shape[1])
+        n_times = self.data.shape[1]
+        return self._curve(lambda theta: float(self.sums(theta)[0]) / n_times)
 
     @cached_property
     def weighted_curve(self) -> DiscrepancyCurve:
         """W(theta) at the known correlation time."""
         return self._curve(
-            lambda theta: float(weighted_square(self.at(theta), self.dt, paper.CORRELATION_TIME))
+            lambda theta: float(weighted_square(self.sums(theta), self.dt, paper.CORRELATION_TIME))
         )
 
     def _curve(self, total):
         return DiscrepancyCurve(total, paper.THETA_RANGE, self.data.size)
 
-    @cached_property
-    def node_sums(self) -> np.ndarray:
-        """`at` the nodes of `curve`, (4, n)."""
-        return np.array([self.at(theta) for theta in self.curve.theta]).T
+    @property
+    def correlated(self) -> Exponents:
+        """Exponents in W at the known correlation time."""
+        return correlated_exponents(*self.data.shape, self.dt, paper.CORRELATION_TIME)
 
 
-class Reference(NamedTuple):
-    """Exact statistics (parameter, statistic), NaN for what is no parameter; log evidence; and a log-density.
-
-    `log_density` takes the draws, a dictionary of arrays (n,), and returns an array (n,), up to a constant.
-    """
-
-    statistics: np.ndarray
-    log_evidence: float
-    log_density: Callable[[dict], np.ndarray]
-
-
-def reference(kind: str, step: Step) -> Reference:
+def reference(kind: str, step: Step) -> ExactPosterior:
     """Exact posterior of one of `WITH_REFERENCE` at one sampling step of the study."""
     if kind in OWN_POSTERIORS:
         return OWN_POSTERIORS[kind](step)
-    return posterior_of_curve(step.curve, LIKELIHOODS[kind].exponents(*step.shape))
-
-
-def posterior_of_curve(curve: DiscrepancyCurve, exponents: Exponents, stretches=None) -> Reference:
-    """Theta and sigma inferred by a likelihood of one curve, which may be stretched."""
-    exact = exact_posterior(curve, exponents, paper.SIGMA_RANGE, stretches)
-
-    def log_density(draws):
-        theta, sigma = draws["theta"], draws["sigma"]
-        if stretches is not None:
-            theta, sigma = (s.inside(x) for s, x in zip(stretches, (theta, sigma), strict=True))
-        return -exponents.m * np.log(sigma) - exponents.c * curve.at(theta) / (2.0 * sigma**2)
-
-    statistics = rows(exact.map, {"theta": exact.theta, "sigma": exact.sigma})
-    return Reference(statistics, exact.log_evidence, log_density)
-
-
-def rows(best, marginals) -> np.ndarray:
-    """Maximum (in the order of `PARAMETERS`) and quantiles of some of them, a dictionary, as a table."""
-    table = np.full((len(PARAMETERS), len(STATISTICS)), np.nan)
-    for k, name in enumerate(PARAMETERS[: len(marginals)]):
-        table[k] = [best[k], *marginals[name].quantile(PROBABILITIES)]
-    return table
+    return exact_posterior(step.curve, LIKELIHOODS[kind].exponents(*step.data.shape))
 
 
 def exact_tolerance(step: Step) -> float:
@@ -442,8 +420,7 @@ def exact_tolerance(step: Step) -> float:
     The width of ABC goes with the root of what delta has beyond the smallest rho, which would double the
     relative error of a quantile of draws.
     """
-    of_exp = exact_posterior(step.curve, EXP.exponents(*step.shape), paper.SIGMA_RANGE)
-    return abc_tolerance(float(of_exp.sigma.quantile(0.9)), step.shape[0])
+    return abc_tolerance(float(reference("EXP", step).marginals["sigma"].quantile(0.9)), step.data.shape[0])
 
 
 def exact_interval(step: Step) -> tuple[float, float]:
@@ -451,60 +428,31 @@ def exact_interval(step: Step) -> tuple[float, float]:
     return tolerance_interval(step.curve, exact_tolerance(step))
 
 
-def with_tolerance(step: Step) -> Reference:
+def with_tolerance(step: Step) -> ExactPosterior:
     """ABC: uniform on {theta: S(theta) <= delta}."""
-    curve, (low, high) = step.curve, exact_interval(step)
-    table = np.full((len(PARAMETERS), len(STATISTICS)), np.nan)
-    table[0] = [curve.minimiser, *(low + np.array(PROBABILITIES) * (high - low))]
-    prior = paper.THETA_RANGE[1] - paper.THETA_RANGE[0]
-    return Reference(table, float(np.log((high - low) / prior)), lambda draws: -curve.at(draws["theta"]))
-
-
-def with_known_errors(step: Step) -> Reference:
-    """CN: theta, with tau and sigma known."""
-    curve, exponents = step.weighted_curve, correlated_exponents(*step.shape, step.dt, paper.CORRELATION_TIME)
-    marginal, log_evidence = known_scale_posterior(curve, exponents, step.scale)
-    statistics = rows((curve.minimiser,), {"theta": marginal})
-    return Reference(statistics, log_evidence, lambda draws: -curve.at(draws["theta"]))
-
-
-def with_known_time(step: Step) -> Reference:
-    """CN-SIGMA: theta and sigma, with tau known."""
-    exponents = correlated_exponents(*step.shape, step.dt, paper.CORRELATION_TIME)
-    return posterior_of_curve(step.weighted_curve, exponents)
-
-
-def with_unknown_time(step: Step) -> Reference:
-    """CN-TAU: theta, sigma and tau."""
-    curve, sums = step.curve, step.node_sums
-    marginals, best, log_evidence = unknown_time_posterior(
-        curve, sums, step.shape, step.dt, paper.SIGMA_RANGE, paper.TAU_RANGE
+    ends, curve = np.array(exact_interval(step)), step.curve
+    share = float(np.ptp(ends) / np.ptp(curve.bounds))
+    uniform = {"theta": Marginal(ends, np.array([0.0, 1.0]))}
+    return ExactPosterior(
+        uniform, (curve.minimiser,), float(np.log(share)), lambda draws: -curve.at(draws["theta"])
     )
 
-    def log_density(draws):
-        at_draws = np.array([np.interp(draws["theta"], curve.theta, row) for row in sums])
-        exponents = correlated_exponents(*step.shape, step.dt, draws["tau"])
-        weighted, sigma = weighted_square(at_draws, step.dt, draws["tau"]), draws["sigma"]
-        return exponents.constant - exponents.m * np.log(sigma) - 0.5 * weighted / sigma**2
 
-    return Reference(rows(best, marginals), log_evidence, log_density)
-
-
-def calibrated(step: Step) -> Reference:
+def calibrated(step: Step) -> ExactPosterior:
     """CAL: NORM's likelihood to a power, stretched along theta and sigma around its maximum.
 
     The maximum follows from S(theta), its curvature A in closed form. theta and sigma do not mix: neither in
     A nor in the covariance B of the score. The model is the structure, so that bands are not compared.
     """
-    curve, norm = step.curve, NORM.exponents(*step.shape)
-    theta, sigma = curve.minimiser, np.sqrt(norm.c * curve.minimum / norm.m)
+    curve, norm = step.curve, NORM.exponents(*step.data.shape)
+    theta, sigma = curve.minimiser, float(np.sqrt(norm.c * curve.minimum / norm.m))
     # slopes of theta and ln(sigma) by the unconstrained parameters
     low, high = paper.THETA_RANGE
     of_theta = (theta - low) * (high - theta) / (high - low)
     of_sigma = 1.0 - sigma / paper.SIGMA_RANGE[1]
     ends = [step.response(theta + sign * DIFFERENCE) for sign in (1.0, -1.0)]
     slope = (ends[0] - ends[1]) / (2.0 * DIFFERENCE * sigma) * of_theta
-    n_sensors, n_times = step.shape
+    n_sensors, n_times = step.data.shape
     value = Comparison(step.response(theta), step.data.values, sigma, n_times, step=step.dt).by_sensor()
     slopes = np.stack([slope, np.zeros_like(slope)], axis=-1)
     of_scale = np.tile([0.0, of_sigma], (n_sensors, 1))
@@ -513,22 +461,18 @@ def calibrated(step: Step) -> Reference:
     information = np.diag([curvature, 2.0 * norm.m * of_sigma**2])
     precision = sandwich([event], model_error=None)._replace(information=information).precision
     power, matrix = stretching(information, precision)
-    raised = Exponents(*(power * np.array(norm)))
-    return posterior_of_curve(
-        curve,
-        raised,
-        (
-            Stretch(paper.THETA_RANGE, theta, float(matrix[0, 0])),
-            Stretch(paper.SIGMA_RANGE, float(sigma), float(matrix[1, 1])),
-        ),
-    )
+    stretches = {
+        "theta": Stretch(paper.THETA_RANGE, theta, float(matrix[0, 0])),
+        "sigma": Stretch(paper.SIGMA_RANGE, sigma, float(matrix[1, 1])),
+    }
+    return exact_posterior(curve, Exponents(*(power * np.array(norm))), stretches=stretches)
 
 
 OWN_POSTERIORS = {
     "ABC": with_tolerance,
-    "CN": with_known_errors,
-    "CN-SIGMA": with_known_time,
-    "CN-TAU": with_unknown_time,
+    "CN": lambda step: exact_posterior(step.weighted_curve, step.correlated, sigma=step.scale),
+    "CN-SIGMA": lambda step: exact_posterior(step.weighted_curve, step.correlated),
+    "CN-TAU": lambda step: unknown_time_posterior(step.curve, step.sums, step.data.shape, step.dt),
     "CAL": calibrated,
 }
 #: Names of the likelihoods that the study can judge by their exact posteriors.

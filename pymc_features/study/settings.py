@@ -1,12 +1,12 @@
 """Settings of a study, and the measurements, misfits and PyMC models that follow from them.
 
 Of the misfit between response and measurements at one sampling step, four sums over the sensors are all that
-the likelihoods need: of e_j, of the mean squared increments, and of the first and last square.
+the likelihoods need: of its squares, of those of its increments, and of the first and last square.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 import pymc as pm
@@ -18,8 +18,7 @@ from pymc_features._checks import check_integer, check_positive, check_seed, che
 from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison
 from pymc_features.ops import response
 from pymc_features.records import Record
-from pymc_features.simulators import FAMILIES, request, simulate
-from pymc_features.simulators.excitation import excitation_of
+from pymc_features.simulators import simulate
 from pymc_features.storage import fingerprint
 from pymc_features.structures import Structure
 from pymc_features.study import paper
@@ -27,11 +26,11 @@ from pymc_features.study.exact import WITH_REFERENCE, DiscrepancyCurve, Step
 from pymc_features.study.structures import DEFAULT, StudyStructure, find_structure
 
 WHITE = "Pass 0 for white noise."
-N_NODES = 601  # of theta, at which costly responses are computed
+N_NODES = 601  # of theta, at which responses are computed
 WITHOUT_NOISE = "Without noise sigma runs to zero and no posterior exists; pass 0.05 for 5 %."
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Study:
     """Settings of a study, checked; see `sampling_rate_study`. None stands for the structure's default."""
 
@@ -49,29 +48,26 @@ class Study:
     def __post_init__(self):
         if not isinstance(self.record, Record):
             raise TypeError(f"`record` must be a Record, got {type(self.record).__name__}.")
-        self._set("record", paper.with_straight_lines(self.record))
+        self.record = paper.with_straight_lines(self.record)
         if not isinstance(self.structure, StudyStructure):
-            self._set("structure", find_structure(self.structure))
+            self.structure = find_structure(self.structure)
         for name in ("likelihoods", "draws", "chains"):
             if getattr(self, name) is None:
-                self._set(name, getattr(self.structure, name))
+                setattr(self, name, getattr(self.structure, name))
         if self.random_seed is None:
-            self._set("random_seed", int(np.random.SeedSequence().generate_state(1)[0]))
+            self.random_seed = int(np.random.SeedSequence().generate_state(1)[0])
         what = f"among {', '.join(WITH_REFERENCE)}"
         named = check_texts(self.likelihoods, "likelihoods", what)
         if not named or not set(named) <= set(WITH_REFERENCE):
             raise ValueError(message("likelihoods", what, shown(self.likelihoods)))
-        self._set("likelihoods", tuple(kind for kind in WITH_REFERENCE if kind in named))
-        self._set("noise", check_positive(self.noise, "noise", WITHOUT_NOISE))
-        self._set("noise_time", check_positive(self.noise_time, "noise_time", WHITE, allow_zero=True))
-        self._set("draws", check_integer(self.draws, "draws", least=50))
-        self._set("chains", check_integer(self.chains, "chains"))
-        self._set("random_seed", check_seed(self.random_seed, several=False))
-        self._set("multipliers", tuple(paper.checked_multipliers(self.multipliers).tolist()))
+        self.likelihoods = tuple(kind for kind in WITH_REFERENCE if kind in named)
+        self.noise = check_positive(self.noise, "noise", WITHOUT_NOISE)
+        self.noise_time = check_positive(self.noise_time, "noise_time", WHITE, allow_zero=True)
+        self.draws = check_integer(self.draws, "draws", least=50)
+        self.chains = check_integer(self.chains, "chains")
+        self.random_seed = check_seed(self.random_seed, several=False)
+        self.multipliers = tuple(paper.checked_multipliers(self.multipliers).tolist())
         check_measurements(self)
-
-    def _set(self, name, value):
-        object.__setattr__(self, name, value)
 
     @cached_property
     def finest(self) -> xr.DataArray:
@@ -132,32 +128,27 @@ class Study:
     def misfit(self, multiplier: float) -> Step:
         """The misfit at one sampling step, for the exact posteriors; the same object each time."""
         if multiplier not in self.steps:
-            data, dt = self.data(multiplier), self.step(multiplier)
-            if self.at().is_linear:
-                sums = computed_sums(self.at, self.record, data.values, dt)
-            else:
-                sums = self.shared.sums(multiplier)
-            respond = partial(self.response, dt=dt)
-            self.steps[multiplier] = Step(sums, data, dt, self.scale, respond, self.frequencies)
+            row, dt = self.multipliers.index(multiplier), self.step(multiplier)
+            self.steps[multiplier] = Step(
+                lambda theta: np.moveaxis(self.sums(theta)[..., row, :], -1, 0),
+                self.data(multiplier),
+                dt,
+                self.scale,
+                partial(self.response, dt=dt),
+                lambda theta: self.at(theta).modes().natural_frequencies,
+            )
         return self.steps[multiplier]
 
     def response(self, theta: float, dt: float) -> np.ndarray:
         """Absolute accelerations at one sampling step [s], (sensor, time) [m/s^2]."""
         return simulate(self.at(theta), self.record, dt=dt).values
 
-    def frequencies(self, theta: float) -> np.ndarray:
-        """Natural frequencies of small motions [Hz]."""
-        return self.at(theta).modes().natural_frequencies
-
     @cached_property
-    def shared(self) -> "SharedResponses":
-        """Responses that serve all sampling steps, of a structure that must be integrated."""
+    def sums(self) -> Callable:
+        """The four sums of the misfit at every sampling step, see `shared_sums`."""
         finest = self.multipliers[0]
-        return SharedResponses(
-            partial(self.response, dt=self.step(finest)),
-            self.finest.values,
-            {m: round(m / finest) for m in self.multipliers},
-        )
+        strides = [round(m / finest) for m in self.multipliers]
+        return shared_sums(partial(self.response, dt=self.step(finest)), self.finest.values, strides)
 
     def part_seed(self, likelihood: str) -> int:
         """Seed of one part: the same at all sampling steps, which then differ by their data."""
@@ -179,71 +170,31 @@ def check_measurements(study: Study):
             )
 
 
-def computed_sums(at: Callable[[float], Structure], record, data, dt: float) -> Callable:
-    """The four sums (4,) as a function of theta at one sampling step, by the kernel of a structure's family.
+def shared_sums(respond: Callable, data: np.ndarray, strides: Sequence[int]) -> Callable:
+    """The four sums at all sampling steps from one response for each theta: theta -> (..., step, 4).
 
-    `at` makes a structure of theta, `data` (s, u) are measurements [m/s^2] with the step `dt` [s].
-    """
-    data = np.ascontiguousarray(data)
-    asked = request(paper.N_STOREYS, record.dt, dt=dt)
-
-    def sums(theta):
-        structure = at(theta)
-        family = FAMILIES[structure.family]
-        excitation = excitation_of(structure.excitation(record), record, asked)
-        rows = family.rows(asked.sensors, structure.n_dof)
-        inputs = family.inputs_of(structure, record, excitation, rows, asked.n_modes)
-        arguments = family.assemble(inputs, asked.quantity_code)
-        squares, increments, first, last = family.kernels["misfit"](*arguments, data).T
-        return np.array([squares.sum(), increments.sum(), first @ first, last @ last])
-
-    return sums
-
-
-class SharedResponses:
-    """The four sums at all sampling steps from one response for each theta, where a response is costly.
-
-    The response at a coarser step is every n-th sample of that at the finest, so that one response serves all
-    steps: `respond(theta)` (s, u) [m/s^2], as `data` are; `strides` are the multiples of the finest step by
-    any keys. It is computed at nodes of theta that resolve the narrowest posterior and cover the prior, about
-    a thousand; between them the sums are cubic splines, right to 1e-6 where the posteriors are
-    (tests/study/test_study_exact.py). No response is kept.
+    The response at a coarser step is every n-th sample of that at the finest, n of `strides`, the first 1:
+    `respond(theta)` (s, u) [m/s^2], as `data` are. It is computed at nodes of theta that resolve the
+    narrowest posterior and cover the prior, about a thousand; between them the sums are cubic splines, right
+    to 1e-6 where the posteriors are (tests/study/test_study_exact.py). No response is kept.
     """
 
-    def __init__(self, respond: Callable, data: np.ndarray, strides: dict[float, int]):
-        self.respond, self.data, self.strides = respond, data, strides
-        self._known: dict[float, np.ndarray] = {}
+    @cache
+    def at(theta):
+        misfit = data - respond(theta)
+        return np.array([sums_of(misfit[:, ::n]) for n in strides])
 
-    def at(self, theta: float) -> np.ndarray:
-        """The four sums at each sampling step (step, 4), without splines."""
-        if theta not in self._known:
-            misfit = self.data - self.respond(theta)
-            self._known[theta] = np.array([sums_of(misfit[:, ::n]) for n in self.strides.values()])
-        return self._known[theta]
-
-    @cached_property
-    def curve(self) -> DiscrepancyCurve:
-        """S(theta) at the finest step: its nodes are those of the splines."""
-        finest = list(self.strides.values()).index(1)
-        return DiscrepancyCurve(
-            lambda theta: float(self.at(theta)[finest, 0]), paper.THETA_RANGE, self.data.size, N_NODES
-        )
-
-    @cached_property
-    def splines(self) -> CubicSpline:
-        """The sums (step, 4) by the grid variable of `curve`."""
-        return CubicSpline(self.curve.u, np.array([self.at(theta) for theta in self.curve.theta]))
-
-    def sums(self, multiplier: float) -> Callable:
-        """theta -> array (4,) at one sampling step."""
-        row = list(self.strides).index(multiplier)
-        return lambda theta: self.splines(self.curve.grid_variable(theta))[row]
+    curve = DiscrepancyCurve(
+        lambda theta: float(at(theta)[0, 0]) / data.shape[1], paper.THETA_RANGE, data.size, N_NODES
+    )
+    splines = CubicSpline(curve.grid.u, np.array([at(theta) for theta in curve.grid.nodes]))
+    return lambda theta: splines(curve.grid_variable(theta))
 
 
 def sums_of(misfit: np.ndarray) -> np.ndarray:
     """The four sums (4,) of a misfit (s, u)."""
-    squares, increments = ((x**2).sum() / misfit.shape[1] for x in (misfit, np.diff(misfit, axis=1)))
-    return np.array([squares, increments, (misfit[:, 0] ** 2).sum(), (misfit[:, -1] ** 2).sum()])
+    parts = misfit, np.diff(misfit, axis=1), misfit[:, 0], misfit[:, -1]
+    return np.array([(part**2).sum() for part in parts])
 
 
 def declare(

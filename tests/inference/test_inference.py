@@ -80,7 +80,7 @@ def test_nuts_is_the_exact_posterior(example, tmp_path):
     """Six quantiles within 4.5 standard errors: a false alarm in 24,000 runs."""
     exact, idata = example.exact["TN"], example.nuts
     for name in ("theta", "sigma"):
-        marginal = getattr(exact, name)
+        marginal = exact.marginals[name]
         assert np.abs(quantile_scores(idata, name, marginal.quantile)).max() < 4.5
         off = 0.1 * (marginal.quantile(0.95) - marginal.quantile(0.05))  # negative control
         assert np.abs(quantile_scores(idata, name, marginal.quantile, off)).max() > 4.5

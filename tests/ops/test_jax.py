@@ -180,7 +180,7 @@ def one_stiffness():
     curve = quadrature.DiscrepancyCurve(total, paper.THETA_RANGE, MEASURED.size)
     exponents = LIKELIHOODS["TN"].exponents(*MEASURED.shape)
     exact = quadrature.exact_posterior(curve, exponents, paper.SIGMA_RANGE)
-    nodes, below = exact.theta.nodes, exact.theta.below
+    nodes, below = exact.marginals["theta"]
     middle, probability = 0.5 * (nodes[1:] + nodes[:-1]), np.diff(below)
     mean = probability @ middle
     return model, mean, np.sqrt(probability @ (middle - mean) ** 2)

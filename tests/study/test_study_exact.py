@@ -14,8 +14,6 @@ from pymc_features.study.exact import (
     Stretch,
     correlated_exponents,
     exact_posterior,
-    known_scale_posterior,
-    log_determinant,
     reference,
     tolerance_interval,
     unknown_time_posterior,
@@ -54,7 +52,7 @@ def test_marginal_is_the_student_t_of_the_closed_form(exact, kind):
         m = laws[kind].m
         scale = np.sqrt(curve.minimum / curve.curvature / (m - 2))
         closed = curve.minimiser + scale * stats.t(m - 2).ppf([0.05, 0.25, 0.5, 0.75, 0.95])
-        quantiles = posteriors[kind].theta.quantile([0.05, 0.25, 0.5, 0.75, 0.95])
+        quantiles = posteriors[kind].marginals["theta"].quantile([0.05, 0.25, 0.5, 0.75, 0.95])
         width = closed[-1] - closed[0]
         # S is quadratic near its minimum only: the heavier the tail, the more of its cubic part is seen
         np.testing.assert_allclose(np.ptp(quantiles[[0, -1]]), width, rtol=1e-3)
@@ -64,11 +62,12 @@ def test_marginal_is_the_student_t_of_the_closed_form(exact, kind):
 def test_feature_and_abc_uncertainty_do_not_depend_on_the_sampling_rate(exact):
     """Half-widths of ABC's sets in closed form. NORM is the negative control: a hundred samples, a tenth."""
     width = {
-        kind: np.array([np.ptp(p[kind].theta.quantile([0.05, 0.95])) for _, p, _ in exact]) for kind in KINDS
+        kind: np.array([np.ptp(p[kind].marginals["theta"].quantile([0.05, 0.95])) for _, p, _ in exact])
+        for kind in KINDS
     }
     width["ABC"] = np.array([])
     for curve, posteriors, _ in exact:
-        delta = abc_tolerance(float(posteriors["EXP"].sigma.quantile(0.9)), paper.N_STOREYS)
+        delta = abc_tolerance(float(posteriors["EXP"].marginals["sigma"].quantile(0.9)), paper.N_STOREYS)
         ends = np.array(tolerance_interval(curve, delta))
         closed = np.sqrt((delta - curve.minimum) / curve.curvature)
         assert np.ptp(ends) == pytest.approx(2.0 * closed, rel=1e-3)
@@ -93,16 +92,16 @@ def test_quadrature_against_sums_on_a_fine_grid(factors):
     best = np.sqrt(likelihood.c * minimum / likelihood.m)
     pair = factors or (1.0, 1.0)
     stretches = Stretch((0.5, 1.5), centre, pair[0]), Stretch((0.0, 2.0), best, pair[1])
-    found = exact_posterior(curve, likelihood, (0.0, 2.0), *([stretches] if factors else []))
+    named = {"theta": stretches[0], "sigma": stretches[1]} if factors else None
+    found = exact_posterior(curve, likelihood, (0.0, 2.0), stretches=named)
     theta, sigma = ((np.arange(2000) + 0.5) / 2000 + 0.5, (np.arange(2000) + 0.5) / 1000)
     x, s = stretches[0].inside(theta)[:, None], stretches[1].inside(sigma)
     total = minimum + curvature * (x - centre) ** 2
     mass = np.exp(-likelihood.m * np.log(s) - likelihood.c * total / (2 * s**2))
     assert found.log_evidence == pytest.approx(np.log(mass.mean()) - 3.0, abs=1e-5)
-    for nodes, marginal, axis in ((theta, found.theta, 1), (sigma, found.sigma, 0)):
-        np.testing.assert_allclose(
-            marginal.quantile(QUANTILES), quantiles_of(nodes, mass.sum(axis=axis)), rtol=1e-4
-        )
+    for name, nodes, axis in (("theta", theta, 1), ("sigma", sigma, 0)):
+        quantiles = found.marginals[name].quantile(QUANTILES)
+        np.testing.assert_allclose(quantiles, quantiles_of(nodes, mass.sum(axis=axis)), rtol=1e-4)
     assert found.map == pytest.approx((centre, best))
 
 
@@ -143,8 +142,6 @@ def test_weighted_square_and_determinant_are_those_of_the_dense_matrix(tau):
     correlation = np.exp(-np.abs(np.subtract.outer(lags, lags)) / tau)
     expected = np.sum(misfit * linalg.solve(correlation, misfit.T, assume_a="pos").T)
     assert weighted_square(sums_of(misfit), DT, tau) == pytest.approx(expected, rel=1e-9)
-    half = 0.5 * N_SENSORS * np.linalg.slogdet(correlation)[1]
-    assert log_determinant(N_SENSORS, N_TIMES, DT, tau) == pytest.approx(half, rel=1e-9, abs=1e-12)
     log_p = stats.multivariate_normal(cov=0.49 * correlation).logpdf(misfit).sum()
     it = correlated_exponents(N_SENSORS, N_TIMES, DT, tau)
     got = it.constant - it.m * np.log(0.7) - it.c * expected / (2 * 0.49)
@@ -172,36 +169,33 @@ def test_known_scale_posterior_is_the_normal_of_the_linear_model():
 
     curve = DiscrepancyCurve(total, (0.5, 1.5), N_SENSORS * N_TIMES)
     it = correlated_exponents(N_SENSORS, N_TIMES, DT, tau)
-    marginal, log_evidence = known_scale_posterior(curve, it, sigma)
+    found = exact_posterior(curve, it, sigma=sigma)
     a, b, _ = coefficients([total(t) for t in (0.0, 1.0, 2.0)])
     normal = stats.norm(1.0 - b / (2 * a), sigma / np.sqrt(a))
     q = np.array([0.01, 0.05, 0.5, 0.95, 0.99])
-    np.testing.assert_allclose(marginal.quantile(q), normal.ppf(q), atol=1e-4 * normal.std())
+    np.testing.assert_allclose(found.marginals["theta"].quantile(q), normal.ppf(q), atol=1e-4 * normal.std())
     top = it.constant - it.m * np.log(sigma) - total(normal.mean()) / (2 * sigma**2)
     expected = top + 0.5 * np.log(2 * np.pi) + np.log(normal.std())
-    assert log_evidence == pytest.approx(expected, abs=1e-6)
+    assert found.log_evidence == pytest.approx(expected, abs=1e-6)
 
 
 def test_unknown_time_posterior_against_sums_on_a_fine_grid():
     """The density in theta, sigma and ln(tau) at the middles of cells: marginals and evidence."""
     bounds, sigma_bounds, tau_bounds, n = (0.5, 1.5), (0.0, 2.0), (1e-3, 0.5), N_SENSORS * N_TIMES
-    curve = DiscrepancyCurve(lambda t: float(sums_of(parabola(t))[0]) / N_TIMES, bounds, n)
-    marginals, best, log_evidence = unknown_time_posterior(
-        curve,
-        np.array([sums_of(parabola(t)) for t in curve.theta]).T,
-        (N_SENSORS, N_TIMES),
-        DT,
-        sigma_bounds,
-        tau_bounds,
-    )
+    a, b, c = coefficients([sums_of(parabola(t)) for t in (0.0, 1.0, 2.0)])  # the sums are parabolas
+
+    def sums(theta):
+        x = np.asarray(theta) - 1.0
+        return np.stack([a[k] * x**2 + b[k] * x + c[k] for k in range(4)])
+
+    curve = DiscrepancyCurve(lambda t: float(sums(t)[0]) / N_TIMES, bounds, n)
+    exact = unknown_time_posterior(curve, sums, (N_SENSORS, N_TIMES), DT, sigma_bounds[1], tau_bounds)
+    best, log_evidence = exact.map, exact.log_evidence
     ends = (best[0] - 0.15, best[0] + 0.15), (0.5 * best[1], 2.0 * best[1]), np.log(tau_bounds)
     theta, sigma, log_tau = (low + np.ptp([low, high]) * (np.arange(200) + 0.5) / 200 for low, high in ends)
-    a, b, c = coefficients([sums_of(parabola(t)) for t in (0.0, 1.0, 2.0)])  # the sums are parabolas
-    x = theta - 1.0
-    sums = (np.outer(a, x**2) + np.outer(b, x) + c[:, None])[:, :, None]
     tau = np.exp(log_tau)
-    weighted = weighted_square(sums, DT, tau)[:, None]  # (theta, sigma, tau)
-    constant = -0.5 * n * np.log(2 * np.pi) - log_determinant(N_SENSORS, N_TIMES, DT, tau)
+    weighted = weighted_square(sums(theta)[:, :, None], DT, tau)[:, None]  # (theta, sigma, tau)
+    constant = correlated_exponents(N_SENSORS, N_TIMES, DT, tau).constant
     log_p = constant - n * np.log(sigma)[:, None] - 0.5 * weighted / sigma[:, None] ** 2
     mass = np.exp(log_p - log_p.max())
     volume = np.prod([np.ptp(end) for end in ends]) / (
@@ -209,7 +203,7 @@ def test_unknown_time_posterior_against_sums_on_a_fine_grid():
     )
     assert log_evidence == pytest.approx(np.log(mass.mean() * volume) + log_p.max(), abs=1e-3)
     for axis, (name, nodes) in enumerate({"theta": theta, "sigma": sigma, "tau": tau}.items()):
-        found = marginals[name].quantile(np.array(QUANTILES))
+        found = exact.marginals[name].quantile(np.array(QUANTILES))
         expected = quantiles_of(nodes, mass.sum(axis=tuple({0, 1, 2} - {axis})))
         np.testing.assert_allclose(found, expected, atol=0.01 * (found[2] - found[0]))
 
@@ -291,7 +285,7 @@ def direct_sums(study, theta, multiplier):
     """The four sums from a response simulated at the sampling step itself."""
     response = simulate(study.at(theta), study.record, dt=multiplier * study.record.dt).values
     misfit = study.data(multiplier).values - response
-    return sums_of(misfit) / [misfit.shape[1], misfit.shape[1], 1.0, 1.0]
+    return sums_of(misfit)
 
 
 @pytest.mark.parametrize("theta", [0.6137, 0.99931, 1.377])
