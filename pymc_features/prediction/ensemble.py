@@ -1,220 +1,71 @@
-"""Responses of many structures of any family at once, in blocks of time.
+"""Responses of many structures of any family: each is simulated as it comes, and its peaks are kept.
 
-Structures come one by one, and of each no more is kept than its response needs: the parameters of a chain,
-the modes of a linear structure, to be integrated together (`Marched`). A nonlinear structure, or one whose
-damping couples the modes, is simulated at once (`simulated`); its histories go to a temporary file if blocks
-of time are wanted, and otherwise only their peaks are kept.
+A statistic over structures at each time needs the values of all of them at that time. Histories go to a
+temporary file meanwhile, one after another, and are read back in blocks of time.
 """
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from tempfile import SpooledTemporaryFile
 
 import numpy as np
 
 from pymc_features.exceptions import TooStiffError
-from pymc_features.prediction.histories import Recursions, block_size, response_blocks
-from pymc_features.prediction.simulated import HistoryFile, Simulated, largest
-from pymc_features.simulators.chain.parameters import ChainParameters, chain_feed, modes_of
 from pymc_features.simulators.excitation import excitation_of, refined_request
-from pymc_features.simulators.families import FAMILIES
-from pymc_features.simulators.linear.arguments import Arguments
-from pymc_features.simulators.linear.system import is_coupled, observe, solve_system, uncoupled
-from pymc_features.simulators.oscillators.arguments import QUANTITIES, Outputs
-from pymc_features.simulators.oscillators.table import N_ROWS, scale_input, whole_vectors, write_table
-from pymc_features.simulators.quantities import HISTORIES, Rows, checked_request, force_share, rows_of
-from pymc_features.simulators.request import Request
-from pymc_features.simulators.simulate import check_arguments, simulate
+from pymc_features.simulators.families import NONLINEAR
+from pymc_features.simulators.nonlinear.kernels import nonlinear_histories
+from pymc_features.simulators.oscillators.arguments import QUANTITIES
+from pymc_features.simulators.quantities import HISTORIES, Rows, checked_request, rows_of
+from pymc_features.simulators.simulate import check_arguments, history_of, simulate
+
+MEMORY = 16 * 2**20  # of a block of responses [bytes]
+BLOCK = 128  # samples in a block at most
 
 
-class Marched:
-    """Structures that are kept to be integrated together.
+class HistoryFile:
+    """Histories (row, time) of up to `capacity` structures; in memory while they take little of it.
 
-    Each kind has `add(structure)`, which keeps a structure and returns True, or returns False where it has no
-    response to one of the records; and `recursions(k, name)`, those for record `k` and a quantity.
+    The file is laid out block of time after block of time, so that a block is read in one piece. It has no
+    name, and is gone when it is closed or the process ends.
 
     Parameters
     ----------
-    wanted : WantedResponses
-        What is asked of every structure.
+    capacity, n_rows, total : int
+        Most structures, rows, samples of a history.
     """
 
-    def __init__(self, wanted):
-        self.wanted, self.kept = wanted, []
-        pairs = zip(wanted.records, wanted.requests, strict=True)
-        excitations = [excitation_of(record.inputs, record, request) for record, request in pairs]
-        self.steps = [given.dt / given.substeps for given in excitations]
+    def __init__(self, capacity: int, n_rows: int, total: int):
+        self._capacity, self._n_rows, self._total = capacity, n_rows, total
+        self._size = int(np.clip(MEMORY // (8 * capacity * n_rows), 1, BLOCK))
+        self._n = 0
+        self._file = SpooledTemporaryFile(max_size=MEMORY)  # noqa: SIM115  `close` is called
+        if 8 * capacity * n_rows * total > MEMORY:
+            self._file.rollover()
 
-    def __len__(self):
-        return len(self.kept)
+    def append(self, history) -> None:
+        """Keep the history (row, time) of one more structure."""
+        slot = 8 * self._n_rows * self._size
+        padded = np.zeros((self._n_rows, self._size))
+        for block, first in enumerate(range(0, self._total, self._size)):
+            count = min(self._size, self._total - first)
+            padded[:, :count] = history[:, first : first + count]
+            self._file.seek((block * self._capacity + self._n) * slot)
+            self._file.write(padded)
+        self._n += 1
 
-    def blocks(self, k: int, name: str, size: int):
-        """Yield (first sample, responses (row, time, structure)) of one block after another."""
-        excitation = excitation_of(
-            self.wanted.records[k].inputs, self.wanted.records[k], self.wanted.requests[k]
-        )
-        return response_blocks(self.recursions(k, name), excitation, size)
+    def blocks(self):
+        """Yield (first sample, responses (row, time, structure)) of one block of time after another.
 
-    def peaks(self, k: int, name: str, size: int) -> np.ndarray:
-        """Largest absolute values over the output samples, (row, structure)."""
-        return np.maximum.reduce([largest(values) for _, values in self.blocks(k, name, size)])
+        The responses may be overwritten by whoever receives them, and are by the next block.
+        """
+        buffer = np.empty((self._n, self._n_rows, self._size))
+        for block, first in enumerate(range(0, self._total, self._size)):
+            self._file.seek(block * self._capacity * buffer[0].nbytes)
+            self._file.readinto(buffer)
+            count = min(self._size, self._total - first)
+            yield first, np.moveaxis(buffer[:, :, :count], 0, -1)
 
     def close(self) -> None:
-        """Nothing is open."""
-
-
-class Chains(Marched):
-    """Spring-mass chains, whose modes compiled code finds in microseconds: kept as they are."""
-
-    def add(self, structure) -> bool:
-        """Keep a chain; False where it has no response to one of the records."""
-        parameters = ChainParameters(*structure.parameters())
-        outputs = Outputs(np.zeros(1, dtype=np.int64), self.wanted.requests[0].n_modes, 0)
-        if not all(modes_of(parameters, step, outputs)[0] for step in set(self.steps)):
-            return False
-        self.kept.append((structure, parameters))
-        return True
-
-    def recursions(self, k: int, name: str) -> Recursions:
-        """Recursions for record `k` and a quantity."""
-        (first, _), request, quantity = self.kept[0], self.wanted.requests[k], HISTORIES[name]
-        rows, degrees = self.wanted.rows(first, name), request.sensors
-        combinations = rows.outputs
-        if combinations is not None:
-            degrees = np.arange(first.n_dof)
-        if quantity.dim == "support":  # of each structure its own masses
-            combinations = np.stack([self.wanted.rows(chain, name).outputs for chain, _ in self.kept])
-        wanted = Outputs(degrees, request.n_modes, QUANTITIES.index(quantity.source))
-        complete, found = request.n_modes == first.n_dof, []
-        for _, parameters in self.kept:
-            _, system, _, _ = modes_of(parameters, self.steps[k], wanted)
-            table = np.zeros((1, N_ROWS, whole_vectors(request.n_modes)))
-            write_table(system.omega, system.damping, self.steps[k], wanted.quantity, table[0])
-            # with the participation in the shapes a response is that of `simulate` to the last bit
-            found.append(
-                (table, system.shapes * system.participation[:, 0], chain_feed(system, wanted, complete))
-            )
-        tables, shapes, direct = (np.stack(part) for part in zip(*found, strict=True))
-        if combinations is not None:
-            shapes, direct = combinations @ shapes, combinations @ direct
-        return Recursions(tables, shapes, direct)
-
-
-class KeptModes(NamedTuple):
-    """Modes of a linear structure.
-
-    Attributes
-    ----------
-    omega, modal_damping : array (m,)
-        [rad/s] and 2 zeta omega [1/s].
-    participation : dict
-        Gamma' (d, m), by kind of load.
-    output_shapes : dict
-        S Phi (row, m), by quantity.
-    direct : dict
-        Feed-through (row, d), by quantity and kind of load.
-    """
-
-    omega: np.ndarray
-    modal_damping: np.ndarray
-    participation: dict
-    output_shapes: dict
-    direct: dict
-
-
-class Oscillators(Marched):
-    """Linear structures whose damping the modes diagonalise: kept as modes at the rows asked for.
-
-    All motions of the supports load the modes in one way, each record of forces in its own.
-    """
-
-    def __init__(self, wanted):
-        super().__init__(wanted)
-        of_forces = [record.is_force for record in wanted.records]
-        self.loads = [k if force else "supports" for k, force in enumerate(of_forces)]
-        # the record with the longest step stands for all with its kind of load
-        ascending = np.argsort(self.steps, kind="stable")
-        self.examples = {self.loads[k]: k for k in ascending}
-        self.combinations = {}
-
-    def add(self, structure) -> bool:
-        """Keep the modes of a structure; False where it has no response to one of the records."""
-        family, modes = FAMILIES[structure.family], structure.modes(self.wanted.requests[0].n_modes)
-        known = modes.angular_frequencies, modes.mode_shapes
-        participation, output_shapes, direct = {}, {}, {}
-        for load, k in self.examples.items():
-            record, request = self.wanted.records[k], self.wanted.requests[k]
-            excitation = excitation_of(structure.excitation(record), record, request)
-            rows = np.empty((0, structure.n_dof))
-            inputs = family.inputs_of(structure, record, excitation, rows, request.n_modes)
-            a = Arguments(*family.assemble(inputs, request.quantity_code))
-            system = solve_system(a, known=known)
-            if system is None:
-                return False
-            participation[load] = np.ascontiguousarray(system.participation.T)
-            for name in self.wanted.names:
-                outputs = self.outputs(structure, name, request)
-                modal_system, direct[name, load] = observe(a._replace(wanted=outputs), system)
-                output_shapes[name] = modal_system.shapes
-                share = force_share(structure, record, name)
-                if share is not None:
-                    direct[name, load] += share
-        modal_damping = uncoupled(system.modal_damping)
-        self.kept.append(KeptModes(system.omega, modal_damping, participation, output_shapes, direct))
-        return True
-
-    def outputs(self, structure, name: str, request) -> Outputs:
-        """Outputs of a quantity, the same for all structures unless they are sums over their masses."""
-        quantity = HISTORIES[name]
-        if name not in self.combinations or quantity.dim == "support":
-            picked = self.wanted.rows(structure, name).picked
-            self.combinations[name] = FAMILIES[structure.family].rows(picked, structure.n_dof)
-        return Outputs(self.combinations[name], request.n_modes, QUANTITIES.index(quantity.source))
-
-    def recursions(self, k: int, name: str) -> Recursions:
-        """Recursions for record `k` and a quantity."""
-        load, code = self.loads[k], QUANTITIES.index(HISTORIES[name].source)
-        n_inputs, n_modes = self.kept[0].participation[load].shape
-        tables = np.zeros((len(self), n_inputs, N_ROWS, whole_vectors(n_modes)))
-        for modes, of_inputs in zip(self.kept, tables, strict=True):
-            for table, participation in zip(of_inputs, modes.participation[load], strict=True):
-                write_table(modes.omega, modes.modal_damping, self.steps[k], code, table)
-                scale_input(table, participation)
-        return Recursions(
-            tables,
-            np.stack([modes.output_shapes[name] for modes in self.kept]),
-            np.stack([modes.direct[name, load] for modes in self.kept]),
-        )
-
-
-@dataclass(frozen=True)
-class WantedResponses:
-    """The responses that are asked of every structure: records with their requests, and quantities.
-
-    `settings` are `dt`, `sensors`, `n_modes` and `outputs` of `simulate`, `outputs` as it was checked.
-    """
-
-    records: list
-    requests: list[Request]
-    names: list[str]
-    outputs: np.ndarray | None
-    settings: dict
-
-    def rows(self, structure, name: str) -> Rows:
-        """Rows of a quantity."""
-        return rows_of(structure, name, self.requests[0], self.outputs)
-
-
-def checked_responses(structure, records, names, settings) -> WantedResponses:
-    """Refuse what `simulate` refuses, with the first structure of a family."""
-    requests = []
-    for record in records:
-        check_arguments(structure, record)
-        request, outputs = [checked_request(structure, record, name, **settings) for name in names][0]
-        requests.append(refined_request(structure, record, request))
-        # two samples: whether the record fits the structure; a base shear has no sensors
-        without = {"sensors": None} if HISTORIES[names[0]].dim == "support" else {}
-        simulate(structure, record.first(2), quantity=names[0], **(settings | without))
-    return WantedResponses(records, requests, names, outputs, settings)
+        """Remove the file."""
+        self._file.close()
 
 
 class Ensemble:
@@ -231,92 +82,104 @@ class Ensemble:
         `dt`, `sensors`, `n_modes` and `outputs` of `simulate`.
     keep_histories : bool
         Whether `blocks` will be asked for, which needs a single record; `peaks` always may.
+
+    Attributes
+    ----------
+    requests : list of Request
+        What is asked of a structure under each record; empty before the first one.
+    rows : dict of Rows
+        Those of each quantity, of the first structure.
     """
 
     def __init__(self, records, names, capacity: int, settings: dict, keep_histories: bool):
-        self._given = records, names, settings
+        self.records, self.names, self.settings = records, names, settings
         self._capacity, self._keep = capacity, keep_histories
-        self._groups, self._places, self._families = {}, [], set()
-        self.wanted, self.rows = None, {}
+        self._families, self._peaks = set(), []
+        self.requests, self.rows, self.files = [], {}, {}
 
     def __len__(self):
-        return len(self._places)
+        return len(self._peaks)
 
     def add(self, structure) -> bool:
-        """Keep a structure; False, and it is left out, where it has no response to one of the records."""
+        """Simulate a structure; False, and nothing is kept, where a response is not finite."""
         if structure.family not in self._families:
             try:
-                wanted = checked_responses(structure, *self._given)
+                self._check(structure)
             except TooStiffError:
                 return False
             self._families.add(structure.family)
-            if self.wanted is None:
-                self.wanted = wanted
-                self.rows = {name: wanted.rows(structure, name) for name in wanted.names}
-        kind = kind_of(structure, self.wanted.requests[0].n_modes)
-        if kind not in self._groups:
-            files = (self._files(),) if kind is Simulated else ()
-            self._groups[kind] = kind(self.wanted, *files)
-        group = self._groups[kind]
-        added = group.add(structure)
-        if added:
-            self._places.append((kind, len(group) - 1))
-        return added
+        peaks = {}
+        for k in range(len(self.records)):
+            histories = self._histories(structure, k)
+            peaks |= {(k, name): largest(values) for name, values in histories.items()}
+        if not all(np.isfinite(values).all() for values in peaks.values()):
+            return False
+        for name, file in self.files.items():
+            file.append(histories[name])
+        self._peaks.append(peaks)
+        return True
 
     def times(self, k: int) -> np.ndarray:
         """Output times for record `k` [s]."""
-        request, record = self.wanted.requests[k], self.wanted.records[k]
+        request, record = self.requests[k], self.records[k]
         return request.times(record.dt, request.n_outputs(record.n_times))
 
-    def blocks(self, k: int, name: str):
-        """Yield (first sample, responses (row, time, structure)) of one block of time after another.
-
-        The responses may be overwritten by whoever receives them, and are by the next block.
-        """
-        groups, order = self._in_order()
-        blocks = [group.blocks(k, name, self._size(name)) for group in groups]
-        if len(blocks) == 1:
-            yield from blocks[0]
-            return
-        for parts in zip(*blocks, strict=True):
-            yield parts[0][0], np.concatenate([values for _, values in parts], axis=-1)[..., order]
+    def blocks(self, name: str):
+        """Blocks of time of a quantity, see `HistoryFile`."""
+        return self.files[name].blocks()
 
     def peaks(self, k: int, name: str) -> np.ndarray:
         """Largest absolute values over the output samples, (row, structure)."""
-        groups, order = self._in_order()
-        return np.concatenate([group.peaks(k, name, self._size(name)) for group in groups], axis=-1)[:, order]
+        return np.stack([peaks[k, name] for peaks in self._peaks], axis=-1)
 
     def close(self) -> None:
         """Remove temporary files."""
-        for group in self._groups.values():
-            group.close()
+        for file in self.files.values():
+            file.close()
 
-    def _in_order(self):
-        """Groups that have structures, and where in their sequence each structure stands."""
-        used = {kind: group for kind, group in self._groups.items() if len(group)}
-        starts = np.cumsum([0, *(len(group) for group in used.values())])
-        start = dict(zip(used, starts[:-1], strict=True))
-        return list(used.values()), [start[kind] + place for kind, place in self._places]
+    def _check(self, structure) -> None:
+        """Refuse what `simulate` refuses, with the first structure of a family."""
+        requests = []
+        for record in self.records:
+            check_arguments(structure, record)
+            request, outputs = [
+                checked_request(structure, record, name, **self.settings) for name in self.names
+            ][0]
+            requests.append(refined_request(structure, record, request))
+            # two samples: whether the record fits the structure; a base shear has no sensors
+            without = {"sensors": None} if HISTORIES[self.names[0]].dim == "support" else {}
+            simulate(structure, record.first(2), quantity=self.names[0], **(self.settings | without))
+        if not self.requests:
+            self.requests, self._outputs = requests, outputs
+            self.rows = {name: self._rows(structure, name) for name in self.names}
+            if self._keep:
+                total = len(self.times(0))
+                sizes = {name: len(rows.labels) for name, rows in self.rows.items()}
+                self.files = {name: HistoryFile(self._capacity, n, total) for name, n in sizes.items()}
 
-    def _size(self, name):
-        """Samples in a block."""
-        return block_size(self._capacity, len(self.rows[name].labels))
+    def _rows(self, structure, name: str) -> Rows:
+        """Rows of a quantity."""
+        return rows_of(structure, name, self.requests[0], self._outputs)
 
-    def _files(self):
-        """A file for the histories of each quantity, if they are to be kept."""
-        if not self._keep:
-            return {}
-        total = len(self.times(0))
-        return {
-            name: HistoryFile(self._capacity, len(rows.labels), total, self._size(name))
-            for name, rows in self.rows.items()
-        }
+    def _histories(self, structure, k: int) -> dict[str, np.ndarray]:
+        """Histories (row, time) of all quantities; a nonlinear structure is integrated once."""
+        record, request = self.records[k], self.requests[k]
+        rows = {name: self._rows(structure, name) for name in self.names}
+        if structure.family not in NONLINEAR:
+            asked = {name: request._replace(quantity=HISTORIES[name].source) for name in rows}
+            return {name: history_of(structure, record, name, asked[name], rows[name]) for name in rows}
+        sources = list(dict.fromkeys(HISTORIES[name].source for name in rows))
+        values = nonlinear_histories(
+            NONLINEAR[structure.family],
+            structure.parameters(),
+            excitation_of(record.acceleration, record, request),
+            np.arange(structure.n_dof),
+            [QUANTITIES.index(source) for source in sources],
+        )
+        by_source = dict(zip(sources, values, strict=True))
+        return {name: rows[name].of(by_source[HISTORIES[name].source]) for name in rows}
 
 
-def kind_of(structure, n_modes: int) -> type:
-    """Class of the group that a structure belongs to."""
-    if structure.family == "chain":
-        return Chains
-    if structure.is_linear and not is_coupled(structure.modal_damping(n_modes)):
-        return Oscillators
-    return Simulated
+def largest(values) -> np.ndarray:
+    """Largest absolute value over time of responses (row, time, ...)."""
+    return np.maximum(values.max(axis=1), -values.min(axis=1))

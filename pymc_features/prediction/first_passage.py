@@ -76,8 +76,8 @@ def first_passage_probability(
     resampling count as different ones.
 
     Peaks are those of the output samples: pass a smaller `dt` where the highest mode is short of samples.
-    500 draws of the ten-storey example cost a tenth of a second for each record, and memory as in
-    `posterior_response`; of structures that are simulated draw by draw one history is held at a time.
+    500 draws of the ten-storey example cost a fifth of a second for each record; one history is held at a
+    time.
 
     Examples
     --------

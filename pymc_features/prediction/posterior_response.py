@@ -10,7 +10,6 @@ from pymc.util import RandomGenerator
 
 from pymc_features._checks import as_numbers, check_texts, message, shown
 from pymc_features.prediction.draws import ResponseOptions, check_records, response_options, structure_draws
-from pymc_features.prediction.simulated import largest
 from pymc_features.records import CyclicTest, Loading, Record
 from pymc_features.simulators import HISTORIES, times_of
 from pymc_features.structures import Structure
@@ -79,12 +78,10 @@ def posterior_response(
 
     Notes
     -----
-    Memory: besides the result, a block of times of all draws, 16 MiB at most, and each draw's modes; never
-    (draw, sensor, time). 500 draws of the ten-storey example, 1559 samples at ten sensors, take a quarter of
-    a second, most of it for the quantiles (tests/prediction/test_prediction.py compares with those of all
-    histories).
-    Nonlinear structures, and those whose damping couples the modes, are simulated draw by draw; what their
-    histories take beyond 16 MiB, 8 bytes for each draw, row and sample, is in a temporary file meanwhile.
+    Memory: besides the result, a block of times of all draws, 16 MiB at most; never (draw, sensor, time).
+    Structures are simulated draw by draw; what their histories take beyond 16 MiB, 8 bytes for each draw, row
+    and sample, is in a temporary file meanwhile. 500 draws of the ten-storey example, 1559 samples at ten
+    sensors, take half a second (tests/prediction/test_prediction.py compares with those of all histories).
 
     The quantiles at each time are not those of a history: peaks have their own distribution, in q_peak.
 
@@ -111,7 +108,7 @@ def posterior_response(
         parts = {}
         for name in names:
             parts |= describe(chosen.ensemble, name, quantiles)
-        times = times_of(record, chosen.ensemble.wanted.requests[0], len(chosen.ensemble.times(0)))
+        times = times_of(record, chosen.ensemble.requests[0], len(chosen.ensemble.times(0)))
         return xr.Dataset(parts, chosen.labels | times, chosen.attrs | {"record": record.name})
 
 
@@ -120,12 +117,11 @@ def describe(ensemble, name, quantiles) -> dict:
     times, rows = ensemble.times(0), ensemble.rows[name]
     shape = len(rows.labels), len(times)
     bands, mean = np.empty((len(quantiles), *shape)), np.empty(shape)
-    peak = np.zeros((len(rows.labels), len(ensemble)))
-    for first, values in ensemble.blocks(0, name):
+    for first, values in ensemble.blocks(name):
         block = slice(first, first + values.shape[1])
-        np.maximum(peak, largest(values), out=peak)
         mean[:, block] = values.mean(axis=-1)
         bands[:, :, block] = np.quantile(values, quantiles, axis=-1, overwrite_input=True)
+    peak = ensemble.peaks(0, name)
     coords = {"quantile": quantiles, "time": ("time", times, {"units": "s"})} | row_coords(rows)
     row = tuple(row_coords(rows))
     if not row:

@@ -113,10 +113,7 @@ def simulate(
         )
     asked = refined_request(structure, record, asked)
     rows = rows_of(structure, quantity, asked, outputs)
-    values = respond(structure, record, asked, rows.picked)
-    share = force_share(structure, record, quantity)
-    if share is not None:
-        values = values + share @ at_outputs(record, asked)
+    values = history_of(structure, record, quantity, asked, rows)
     dims, coords = ("time",), {}
     if rows.dim:
         dims, coords = (rows.dim, "time"), {rows.dim: (rows.dim, rows.labels, {"long_name": rows.title})}
@@ -127,6 +124,12 @@ def simulate(
         name=quantity,
         attrs={"units": HISTORIES[quantity].units, "record": record.name},
     )
+
+
+def history_of(structure, record, quantity: str, asked, rows) -> np.ndarray:
+    """Response (row, time) of a quantity, with what forces go to the ground past the modes."""
+    values, share = respond(structure, record, asked, rows.picked), force_share(structure, record, quantity)
+    return values if share is None else values + share @ at_outputs(record, asked)
 
 
 def times_of(record, asked, n_outputs: int) -> dict[str, tuple]:

@@ -14,7 +14,7 @@ from scipy import stats
 import pymc_features as pmf
 from benchmarks import truth
 from pymc_features import plots, simulators
-from pymc_features.prediction import ensemble, histories, simulated
+from pymc_features.prediction import ensemble
 from pymc_features.prediction.first_passage import standard_error
 from support.refusals import refusals
 from support.sampling import SERIAL
@@ -140,20 +140,20 @@ def assert_bands(found, name, slow):
 BLOCKS = 8 * 30 * 3 * 7  # bytes, of 7 samples
 CASES = [  # structure, load, settings of the response, bytes of memory
     (chain, SHAKE, {}, BLOCKS),
-    (chain, SHAKE, {"dt": 0.01, "n_modes": 2}, histories.MEMORY),
+    (chain, SHAKE, {"dt": 0.01, "n_modes": 2}, ensemble.MEMORY),
     (chain, SHAKE, {"dt": 0.04}, 1),
-    (chain, OTHER, {"dt": 0.02}, histories.MEMORY),
-    (frame, OTHER, {"dt": 0.02, "n_modes": 1}, histories.MEMORY),
-    *((two_supports, load, {}, histories.MEMORY) for load in LOADS.values()),
-    (two_supports, LOADS["forces"], {"dt": 0.01, "n_modes": 2}, histories.MEMORY),
-    (without_top_mass, SHAKE, {}, histories.MEMORY),
-    (dashpot, SHAKE, {"n_modes": 2}, histories.MEMORY),
+    (chain, OTHER, {"dt": 0.02}, ensemble.MEMORY),
+    (frame, OTHER, {"dt": 0.02, "n_modes": 1}, ensemble.MEMORY),
+    *((two_supports, load, {}, ensemble.MEMORY) for load in LOADS.values()),
+    (two_supports, LOADS["forces"], {"dt": 0.01, "n_modes": 2}, ensemble.MEMORY),
+    (without_top_mass, SHAKE, {}, ensemble.MEMORY),
+    (dashpot, SHAKE, {"n_modes": 2}, ensemble.MEMORY),
     (dashpot, SHAKE, {"dt": 0.04}, 1),
     (bouc_wen, SHAKE, {"dt": 0.01}, BLOCKS),
     (bouc_wen, SHAKE, {"dt": 0.04}, 1),
-    (duffing, SHAKE, {}, histories.MEMORY),
+    (duffing, SHAKE, {}, ensemble.MEMORY),
     (of_several_kinds, SHAKE, {}, BLOCKS),
-    (of_several_kinds, SHAKE, {}, histories.MEMORY),
+    (of_several_kinds, SHAKE, {}, ensemble.MEMORY),
 ]
 
 
@@ -164,7 +164,7 @@ def test_bands_are_those_of_all_histories(idata, structure, load, settings, memo
 
     In memory, in blocks of 7 samples on disk, and of one.
     """
-    monkeypatch.setattr(histories, "MEMORY", memory)
+    monkeypatch.setattr(ensemble, "MEMORY", memory)
     many = structures_of(idata, structure)
     drifts = all(
         isinstance(one, pmf.SpringMassChain | pmf.HystereticChain | pmf.DuffingChain) for one in many
@@ -246,11 +246,11 @@ def test_draws_are_evenly_spaced():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("structure", "size", "memory", "share"),
-    [(pmf.paper.chain, (400,), histories.MEMORY, 0.1), (dashpot, (300, 3), 2**20, 0.4)],
+    [(pmf.paper.chain, (400,), ensemble.MEMORY, 0.1), (dashpot, (300, 3), 2**20, 0.4)],
 )
 def test_memory_is_bounded(structure, size, memory, share, monkeypatch):
     """A part of what the histories of all draws would take, 200 MB of a chain, 11 MB with coupled damping."""
-    monkeypatch.setattr(histories, "MEMORY", memory)
+    monkeypatch.setattr(ensemble, "MEMORY", memory)
     draws = np.random.default_rng(2).uniform(0.9, 1.2, (1, *size))
     name = "theta" if structure is pmf.paper.chain else "k"
     record = pmf.synthetic_earthquake(31.2, 0.005 if name == "theta" else 0.02, random_seed=1, pga=3.0)
@@ -290,7 +290,7 @@ def test_files_are_closed(idata, fails, monkeypatch):
             raise RuntimeError("no structure")
         return bouc_wen(k)
 
-    monkeypatch.setattr("pymc_features.prediction.simulated.SpooledTemporaryFile", opened)
+    monkeypatch.setattr("pymc_features.prediction.ensemble.SpooledTemporaryFile", opened)
     names = ["base_shear", "relative_velocity"]
     if fails:
         with pytest.raises(RuntimeError, match="no structure"):
@@ -304,8 +304,8 @@ def test_files_are_closed(idata, fails, monkeypatch):
 
 def test_a_nonlinear_chain_is_integrated_once(idata, monkeypatch):
     counted = []
-    inner = simulated.nonlinear_histories
-    monkeypatch.setattr(simulated, "nonlinear_histories", lambda *a: counted.append(a) or inner(*a))
+    inner = ensemble.nonlinear_histories
+    monkeypatch.setattr(ensemble, "nonlinear_histories", lambda *a: counted.append(a) or inner(*a))
     names = ["absolute_acceleration", "base_shear", "inter_storey_drift", "relative_displacement"]
     pmf.prediction.posterior_response(idata, bouc_wen, OTHER, names, draws=6)
     assert len(counted) == 6
@@ -660,14 +660,7 @@ def test_every_family_of_draws_is_asked():
         pmf.prediction.posterior_response(posterior(k=[[2.0, 1.0]]), structure, LOADS["forces"])
 
 
-def test_coupled_draws_are_told_from_classical_ones(idata):
-    """A damping matrix that the modes diagonalise is marched, not simulated."""
-    kinds = {structure: ensemble.kind_of(structure(1.0), 3) for structure in (frame, two_supports, dashpot)}
-    assert kinds == {
-        frame: ensemble.Oscillators,
-        two_supports: ensemble.Oscillators,
-        dashpot: ensemble.Simulated,
-    }
+def test_motions_of_two_supports_warn_of_nothing(idata):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         pmf.prediction.posterior_response(idata, two_supports, LOADS["two supports"], "base_shear", draws=2)

@@ -203,7 +203,7 @@ class Histories(KindOfData):
             window = np.arange(len(drawn.ensemble.times(0)))[self.measured.window]
 
             def deviations():
-                for first, values in drawn.ensemble.blocks(0, name):
+                for first, values in drawn.ensemble.blocks(name):
                     inside = window[(window >= first) & (window < first + values.shape[1])]
                     if inside.size:
                         at = inside - window[0]
