@@ -10,7 +10,8 @@ from scipy.linalg import expm
 
 from pymc_features import ModalDamping, RayleighDamping, SpringMassChain, paper, simulate
 from pymc_features.simulators import QUANTITIES, UNITS
-from pymc_features.simulators.oscillators.table import first_order_hold as step_coefficients
+from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.oscillators.exact_step import exponentials, pole_of_mode
 from support.kernels import chain_discrepancy, chain_response
 from support.newmark import newmark
 from support.reference import first_order_hold, interpolated
@@ -43,6 +44,19 @@ def displacement(structure, record, **kwargs):
 def assert_close_to_peak(actual, expected, tolerance):
     """Largest difference over the largest value."""
     np.testing.assert_allclose(actual, expected, rtol=0.0, atol=tolerance * np.abs(expected).max())
+
+
+@jit
+def step_coefficients(s, d):
+    """Coefficients of one step of (q, h q'): of the state (4,), and of the ground at both ends (2, 2).
+
+    A function of F = [[0, 1], [-s, -d]] is a I + b F, of the pole z = -d/2 + J of F it is re + im J.
+    """
+    phi_0, phi_1, phi_2 = exponentials(pole_of_mode(s, d), s, d)
+    (b0, b1, b2), half = (phi_0.im, phi_1.im, phi_2.im), 0.5 * d
+    a0, a1, a2 = phi_0.re + half * b0, phi_1.re + half * b1, phi_2.re + half * b2
+    now_q, now_p = b2 - b1, a2 - a1 - d * (b2 - b1)
+    return a0, b0, -s * b0, a0 - d * b0, now_q, now_p, -b2, d * b2 - a2
 
 
 @pytest.mark.slow

@@ -1,16 +1,11 @@
-"""The parameters of a spring-mass chain.
-
-Modes of a spring-mass chain, Eqs. (17)-(24), as its outputs have them, and checks of sizes.
-"""
+"""The parameters of a spring-mass chain, and checks of sizes."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.chain.modes import chain_modes
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import n_outputs
-from pymc_features.simulators.oscillators.modal_system import ModalSystem, feed_through, write_damping
 
 
 class ChainParameters(NamedTuple):
@@ -85,62 +80,3 @@ def drifts_of(shapes):
         for r in range(shapes.shape[1]):
             drifts[i, r] -= shapes[i - 1, r]
     return drifts
-
-
-@jit
-def write_shapes(rows, sensors, shapes):
-    """Write S Phi (s, m) from mode shapes in rows (n, n)."""
-    for j in range(sensors.size):
-        for r in range(shapes.shape[1]):
-            shapes[j, r] = rows[r, sensors[j]]
-
-
-@jit
-def modes_of(parameters, step, wanted):
-    """Modes of a chain, everything that the recursion needs once for each set of parameters.
-
-    Parameters
-    ----------
-    parameters : ChainParameters
-    step : float
-        Of the recursion [s].
-    wanted : Outputs
-
-    Returns
-    -------
-    valid : bool
-        False if the parameters describe no structure; the rest is undefined then.
-    system : ModalSystem
-        The modes kept.
-    omega : array (n,)
-        Of all modes [rad/s].
-    rows : array (n, n)
-        All mode shapes, mass-normalised, one in each row.
-    """
-    mass, stiffness, rayleigh, ratios = parameters
-    n, m = mass.size, wanted.n_modes
-    omega, participation, rows = np.empty(n), np.empty(n), np.zeros((n, n))
-    damping, shapes = np.empty(m), np.empty((wanted.sensors.size, m))
-    valid = chain_modes(mass, stiffness, omega, rows, participation)
-    if valid:
-        valid = write_damping(omega[:m], rayleigh, ratios, step, damping)
-    write_shapes(rows, wanted.sensors, shapes)
-    return valid, ModalSystem(omega[:m], damping, shapes, participation[:m].reshape(m, 1)), omega, rows
-
-
-@jit
-def write_feed(system, quantity, complete, feed):
-    """Write the feed-through (s,) of the ground acceleration: zero for the absolute one with all modes."""
-    for j in range(feed.size):
-        by_modes = 0.0
-        for r in range(system.omega.size):
-            by_modes += system.shapes[j, r] * system.participation[r, 0]
-        feed[j] = feed_through(1.0, 0.0, by_modes, quantity, complete)
-
-
-@jit
-def chain_feed(system, wanted, complete):
-    """Feed-through (s, 1) of the ground acceleration."""
-    feed = np.empty(wanted.sensors.size)
-    write_feed(system, wanted.quantity, complete, feed)
-    return feed.reshape(feed.size, 1)
