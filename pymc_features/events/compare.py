@@ -8,6 +8,7 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 from numpy.typing import ArrayLike
+from scipy.special import softmax
 from scipy.stats import chi2
 
 from pymc_features._checks import (
@@ -248,13 +249,9 @@ def prior_probabilities(prior, names) -> np.ndarray:
 
 def posterior_probabilities(values, errors, priors):
     """P(M_k | d), and standard errors that those of the log evidences leave, each (model,)."""
-
-    def normalised(log_z):
-        p = priors * np.exp(log_z - log_z.max(axis=-1, keepdims=True))
-        return p / p.sum(axis=-1, keepdims=True)
-
     noise = np.random.default_rng(0).standard_normal((ERROR_DRAWS, len(values)))
-    return normalised(values), normalised(values + errors * noise).std(axis=0)
+    log_p = np.log(priors) + values
+    return softmax(log_p), softmax(log_p + errors * noise, axis=-1).std(axis=0)
 
 
 def explanations(classes: dict[str, Candidate], models: dict) -> dict[str, np.ndarray]:

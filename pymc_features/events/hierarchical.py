@@ -25,7 +25,7 @@ from pymc.pytensorf import compile as compile_function
 from pytensor.gradient import disconnected_grad
 from pytensor.graph.replace import graph_replace, vectorize_graph
 from pytensor.graph.traversal import ancestors
-from scipy.special import gammaln
+from scipy.special import gammaln, softmax
 
 from pymc_features._checks import (
     as_list,
@@ -213,12 +213,6 @@ class Stored(NamedTuple):
     evidence: Evidence
 
 
-def normalised(log_weights: np.ndarray) -> np.ndarray:
-    """Weights (..., draw) whose sum along the last axis is one."""
-    weights = np.exp(log_weights - log_weights.max(axis=-1, keepdims=True))
-    return weights / weights.sum(axis=-1, keepdims=True)
-
-
 def flat_draws(x: xr.DataArray) -> np.ndarray:
     """Draws (draw, ...) of all chains."""
     values = x.transpose("chain", "draw", ...).values
@@ -306,6 +300,7 @@ class Marginal:
     """
 
     def __init__(self, hyper: pm.Model, names: list[str], stored: list[Stored], n: int):
+        hyper = clone_model(hyper)
         self.hyper, self.names = hyper, names
         self.parameters = [rv for rv in hyper.free_RVs if rv.name not in names]
         self.n = min(n, *(len(one.log_prior) for one in stored))
@@ -314,13 +309,10 @@ class Marginal:
         values, density = log_density(hyper, names)
         densities = vectorize_graph(density, dict(zip(values, self.columns, strict=True)))
         self.density = self.function_of_psi(densities, **with_mode({}, [densities]))
-        model = clone_model(hyper)
-        values, density = log_density(model, names)
-        densities = vectorize_graph(density, dict(zip(values, self.columns, strict=True)))
-        with model:
+        with hyper:
             pm.Potential("log_likelihood_of_events", log_sum_exp(densities + self.log_weights).sum())
         anywhere = {name: np.zeros(shape_of(hyper, name)) for name in names}  # no term asks for it any more
-        self.model = pm.do(model, anywhere)
+        self.model = pm.do(hyper, anywhere)
 
     def function_of_psi(self, graphs, **settings) -> Callable:
         """Compile graphs of the population's parameters as a function of their values by name."""
@@ -362,7 +354,7 @@ class Marginal:
         n_events, n = self.log_weights.get_value(borrow=True).shape
         chosen, total = np.empty((len(rows), n_events), dtype=int), np.zeros((n_events, n))
         for i, row in enumerate(rows):
-            weights = normalised(self.log_ratios(row))
+            weights = softmax(self.log_ratios(row), axis=-1)
             below = np.cumsum(weights, axis=-1) < rng.random(n_events)[:, None]
             chosen[i] = below.sum(axis=-1).clip(max=n - 1)
             total += weights

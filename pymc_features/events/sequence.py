@@ -11,6 +11,7 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
+from scipy.special import expit, logit, softmax
 
 from pymc_features._checks import (
     as_list,
@@ -30,7 +31,6 @@ from pymc_features._checks import (
     single,
 )
 from pymc_features.events.compare import evidence_of
-from pymc_features.events.hierarchical import normalised
 from pymc_features.exceptions import SamplingWarning, StudyMismatchError
 from pymc_features.inference.parameters import (
     Unconstrained,
@@ -159,7 +159,7 @@ def continue_with(
     check_keywords(settings, OF_SAMPLE_SMC, "continue_with")
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(3)[2])
     points = moved(model, posterior, drift, rng)
-    before = FittedDensity(points, rng, float(forgetting))
+    before = fit_density(points, rng, float(forgetting))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "PersistentSMC ended", SamplingWarning)  # `advice` says it
         result = sample_smc(
@@ -286,47 +286,27 @@ def one_event(before, model, i: int, run: dict, settings: dict) -> xr.DataTree:
     return continue_with(before, model=model, draws=run["draws"], random_seed=seed, **settings)
 
 
-class FittedDensity:
-    """Student-t mixture, behind an unbending map where that is clearly better; normalised, drawn from
-    exactly.
+def fit_density(points: np.ndarray, rng: np.random.Generator, forgetting: float = 1.0):
+    """Normalised density that draws (n, d), some of them many times, are from: a Gaussian, or more than that.
 
-    Parameters
-    ----------
-    points : array (n, d)
-        Draws, on the scale they are sampled on; some may be there many times.
-    rng : Generator
-    forgetting : float
-        Covariances are divided by it.
+    A Student-t mixture, or one behind an unbending map, must be better at points that it has not seen, by
+    more than what a fit to some thousand draws gains by chance. Covariances are divided by `forgetting`.
+
+    Returns
+    -------
+    StudentMixture or Unbent
+        With `log_density(x)` (n,) at points (n, d), and independent draws (n, d), `draw(n, rng)`.
     """
-
-    def __init__(self, points: np.ndarray, rng: np.random.Generator, forgetting: float = 1.0):
-        fitted = best_fit(*distinct(points), rng)
-        self.map, mixture = (fitted.map, fitted.mixture) if isinstance(fitted, Unbent) else (None, fitted)
-        wider = [StudentT(c.location, c.factor / np.sqrt(forgetting), c.degrees) for c in mixture.components]
-        self.mixture = StudentMixture(wider, mixture.weights)
-
-    def log_density(self, x: np.ndarray) -> np.ndarray:
-        """ln q (n,) at points (n, d)."""
-        if self.map is None:
-            return self.mixture.log_density(x)
-        return Unbent(self.map, self.mixture).log_density(x)
-
-    def draw(self, n: int, rng: np.random.Generator) -> np.ndarray:
-        """Independent draws (n, d)."""
-        z = self.mixture.draw(n, rng)
-        return z if self.map is None else self.map.inverse(z)
-
-
-def best_fit(x, weights, rng):
-    """Choose from a Gaussian, a mixture and two behind maps by the density at points they have not seen.
-
-    All but the first must be better by more than what a fit to some thousand draws gains by chance.
-    """
+    x, weights = distinct(points)
     weights = np.asarray(weights, dtype=float)
     kinds = [fit_gaussian, fit_mixture, fit_unbent, partial(fit_unbent, rotated=False)]
     scores, total = held_out_scores(kinds, x, weights, rng.permutation(len(x)), rng)
     scores = scores / total - CLEARLY * np.array([0.0, 1.0, 1.0, 1.0])
-    return kinds[int(scores.argmax())](x, weights, rng)
+    fitted = kinds[int(scores.argmax())](x, weights, rng)
+    mixture = fitted.mixture if isinstance(fitted, Unbent) else fitted
+    wider = [StudentT(c.location, c.factor / np.sqrt(forgetting), c.degrees) for c in mixture.components]
+    mixture = StudentMixture(wider, mixture.weights)
+    return fitted._replace(mixture=mixture) if isinstance(fitted, Unbent) else mixture
 
 
 def fit_gaussian(x, weights, rng) -> StudentMixture:
@@ -344,15 +324,13 @@ class ContinuedSMC(PersistentSMC):
 
     Parameters
     ----------
-    before : FittedDensity
+    before : StudentMixture or Unbent
         q, what is known from the events before.
     share : float
         c.
     """
 
-    def __init__(
-        self, draws: int = 2000, *, before: FittedDensity, share: float, **kwargs: Unpack[KernelOptions]
-    ):
+    def __init__(self, draws: int = 2000, *, before, share: float, **kwargs: Unpack[KernelOptions]):
         super().__init__(draws, **kwargs)
         self.before, self.share = before, share
 
@@ -390,7 +368,7 @@ def moved(model, posterior: xr.Dataset, drift: dict[str, float], rng) -> np.ndar
     return flat[np.isfinite(flat).all(axis=1)]
 
 
-def judged(model, result, before: FittedDensity, n_before: float, change: float, rng) -> dict[str, float]:
+def judged(model, result, before, n_before: float, change: float, rng) -> dict[str, float]:
     """Scores of the event; draws of `result` are exchanged for those of the posterior with this `change`."""
     flat = to_unconstrained(model, result["posterior"].to_dataset())
     chains, draws, d = flat.shape
@@ -400,19 +378,17 @@ def judged(model, result, before: FittedDensity, n_before: float, change: float,
     )
     model_prior = np.log(OWN_SHARE) + prior(x)[0]
     fitted_prior = np.log1p(-OWN_SHARE) + before.log_density(x)
-    log_own = model_prior - np.logaddexp(
-        model_prior, fitted_prior
-    )  # share of the model's own prior in each draw
-    log_known = fitted_prior - np.logaddexp(model_prior, fitted_prior)
+    mixed_prior = np.logaddexp(model_prior, fitted_prior)
+    log_own, log_known = model_prior - mixed_prior, fitted_prior - mixed_prior  # shares in each draw
     mixed = evidence_of(result)
     fresh = mixed.value + log_mean(log_own) - np.log(OWN_SHARE)
     score = mixed.value + log_mean(log_known) - np.log1p(-OWN_SHARE)
     error = float(np.hypot(mixed.error, error_of_fit(model, x, score, n_before, rng)))
-    changed = 1.0 / (1.0 + np.exp(np.clip(score - fresh, -700, 700)) * (1.0 - change) / change)
+    changed = expit(fresh - score + logit(change))
     log_weights = np.logaddexp(
         np.log(change / OWN_SHARE) + log_own, np.log((1.0 - change) / (1.0 - OWN_SHARE)) + log_known
     ).reshape(chains, draws)
-    chosen = np.stack([equal_draws(normalised(row), draws, rng) for row in log_weights])
+    chosen = np.stack([equal_draws(softmax(row), draws, rng) for row in log_weights])
     posterior = result["posterior"].to_dataset()
     across = {"chain": xr.DataArray(np.arange(chains), dims="chain")}
     picked = posterior.isel(across | {"draw": xr.DataArray(chosen, dims=("chain", "draw"))})

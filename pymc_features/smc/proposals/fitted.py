@@ -42,6 +42,10 @@ class Unbent(NamedTuple):
         z, _ = self.map.forward(x)
         return self.map.push(self.mixture.gradient(z), z)
 
+    def draw(self, n: int, rng):
+        """Independent draws (n, d) from a mixture behind the map."""
+        return self.map.inverse(self.mixture.draw(n, rng))
+
     def move(self, x, scale: float, rng):
         """Move as `Mixture.move` does, in the unbent coordinates.
 
