@@ -97,27 +97,27 @@ def first_passage_probability(
     records = checked_records(record)
     options = response_options(kwargs, "first_passage_probability")
     with structure_draws(idata, structure, records, [quantity], draws, random_seed, **options) as chosen:
-        peak = np.stack([chosen.ensemble.peaks(k, quantity) for k in range(len(records))])
-        cells = [exceedance(peak, value, chosen.used) for value in limits.ravel()]
-        return dataset(quantity, cells, limits, peak, records, chosen)
+        row, units = row_coords(chosen.ensemble.rows[quantity]), {"units": HISTORIES[quantity].units}
+        peak = np.stack([chosen.ensemble.peaks(k, quantity).T for k in range(len(records))])
+        peak = xr.DataArray(peak if row else peak[..., 0], dims=("record", "sample", *row), attrs=units)
+        names = {"record": np.arange(len(records)), "record_name": ("record", [r.name for r in records])}
+        limits = xr.DataArray(limits, dims=("limit",)[: limits.ndim], attrs=units)
+        parts = {"peak": peak} | exceedance(peak, limits, tuple(row), chosen.used)
+        coords = row | chosen.labels | names | {"limit": limits}
+        return xr.Dataset(parts, coords, chosen.attrs | {"quantity": quantity})
 
 
-def exceedance(peak, limit, used) -> dict[str, np.ndarray]:
-    """Probabilities of peaks (record, row, sample) above one limit, and their standard errors."""
-    above = peak > limit
-    any_above = above.any(axis=1, keepdims=True)
-    rows = np.concatenate([above, any_above], axis=1)
-    of_draws = rows.mean(axis=0)  # share of the records, (row, sample)
-    probability, error = of_draws.mean(axis=-1), standard_error(of_draws, used)
-    of_records = rows.mean(axis=-1)
-    return {
-        "probability": probability[:-1],
-        "probability_se": error[:-1],
-        "probability_any": probability[-1],
-        "probability_any_se": error[-1],
-        "record_probability": of_records[:, :-1],
-        "record_probability_any": of_records[:, -1],
-    }
+def exceedance(peak, limits, row: tuple[str, ...], used) -> dict[str, xr.DataArray]:
+    """Probabilities of peaks (record, sample, *row) above the limits, and their standard errors."""
+    parts, above = {}, peak > limits
+    above = above.transpose("record", *limits.dims, *row, "sample")
+    for name, exceeded in (("probability", above), ("probability_any", above.any(row) if row else above)):
+        shares = exceeded.mean("record")  # of the records, by draw
+        parts[name] = shares.mean("sample")
+        error = standard_error(shares.values.reshape(-1, shares.sizes["sample"]), used)
+        parts[f"{name}_se"] = parts[name].copy(data=error.reshape(parts[name].shape))
+        parts[f"record_{name}"] = exceeded.mean("sample")
+    return {name: part.assign_attrs(units="1") for name, part in parts.items()}
 
 
 def standard_error(shares, used) -> np.ndarray:
@@ -141,29 +141,6 @@ def effective_draws(shares, used) -> np.ndarray:
         placed[used] = shares[row]
         result[row] = float(az.ess(placed, method="mean")) * n / used.size
     return np.clip(np.nan_to_num(result, nan=n), 1.0, n)
-
-
-def dataset(name, cells, limits, peak, records, chosen) -> xr.Dataset:
-    """The result, labelled."""
-    rows = row_coords(chosen.ensemble.rows[name])
-    row = tuple(rows)
-    over_limit = ("limit",) if limits.ndim else ()
-    units = {"units": HISTORIES[name].units}
-    if not row:
-        peak = peak[:, 0]
-    parts = {"peak": (("record", "sample", *row), np.moveaxis(peak, -1, 1), units)}
-    for key in cells[0]:
-        of_record = key.startswith("record")
-        dims = (*(("record",) if of_record else ()), *(row if "any" not in key else ()))
-        values = np.stack([cell[key] for cell in cells])
-        if not row and "any" not in key:
-            values = values[..., 0]
-        labelled = xr.DataArray(values, dims=("limit", *dims), attrs={"units": "1"})
-        order = [d for d in ("record", "limit", *row) if d in labelled.dims]
-        parts[key] = labelled.transpose(*order) if over_limit else labelled.isel(limit=0)
-    coords = rows | chosen.labels
-    coords |= {"limit": (over_limit, limits, units), "record_name": ("record", [r.name for r in records])}
-    return xr.Dataset(parts, coords | {"record": np.arange(len(records))}, chosen.attrs | {"quantity": name})
 
 
 def checked_records(record) -> list:
