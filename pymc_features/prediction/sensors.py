@@ -21,6 +21,7 @@ from pymc_features._checks import (
     check_choice,
     check_finite,
     check_integer,
+    check_keywords,
     check_model,
     check_positive,
     check_seed,
@@ -104,7 +105,9 @@ def sensor_placement(
     model = check_model(model)
     check_continuous(model, "sensor_placement()")
     criterion = check_choice(criterion, "criterion", CRITERIA)
-    draws, seed = checked_settings(settings)
+    check_keywords(settings, ("draws", "random_seed"), "sensor_placement")
+    draws = check_integer(settings.get("draws", 20), "draws")
+    seed = check_seed(settings.get("random_seed"), several=False)
     labels, chosen = chosen_sensors(model, candidates)
     n = check_integer(n, "n", most=len(chosen))
     x = checked_positions(positions, len(chosen))
@@ -126,14 +129,6 @@ def sensor_placement(
         {"order": np.arange(1, n + 1), "candidate": names},
         {"criterion": criterion, "correlation_length": length},
     )
-
-
-def checked_settings(settings) -> tuple[int, int | None]:
-    """Number of points, and a seed."""
-    if unknown := sorted(set(settings) - {"draws", "random_seed"}):
-        raise TypeError(message("settings", "draws or random_seed", ", ".join(unknown)))
-    draws = check_integer(settings.get("draws", 20), "draws")
-    return draws, check_seed(settings.get("random_seed"), several=False)
 
 
 def chosen_sensors(model, candidates) -> tuple[list, list[int]]:
@@ -232,13 +227,9 @@ def gram_matrices(model, points: np.ndarray, chosen: list[int]) -> np.ndarray:
 
 def best_sensors(information: Information, n: int) -> tuple[list[int], list[float]]:
     """A choice of n sensors and the gains on the way: the best one more each time, then exchanges."""
-    candidates, chosen, gains = range(len(information.correlation)), [], []
-    for _ in range(n):
-        rest = [i for i in candidates if i not in chosen]
-        scores = [information.gain([*chosen, i]) for i in rest]
-        chosen.append(rest[int(np.argmax(scores))])
-        gains.append(max(scores))
-    best, improved = gains[-1], True
+    candidates = range(len(information.correlation))
+    chosen = in_order(information, candidates, n)
+    best, improved = information.gain(chosen), True
     while improved:
         improved = False
         for place in range(n):
@@ -247,14 +238,14 @@ def best_sensors(information: Information, n: int) -> tuple[list[int], list[floa
                 if i not in chosen and (value := information.gain([*others, i])) > best * (1.0 + 1e-9):
                     chosen, best, improved = [*others, i], value, True
                     break
-    order = in_order(information, chosen)
+    order = in_order(information, chosen, n)
     return order, [information.gain(order[: k + 1]) for k in range(n)]
 
 
-def in_order(information: Information, chosen: list[int]) -> list[int]:
-    """A choice in the order in which its members tell most."""
+def in_order(information: Information, candidates: Sequence[int], n: int) -> list[int]:
+    """n of some candidates, each the one that tells most beside those before it."""
     order: list[int] = []
-    while len(order) < len(chosen):
-        rest = [i for i in chosen if i not in order]
+    while len(order) < n:
+        rest = [i for i in candidates if i not in order]
         order.append(max(rest, key=lambda i: information.gain([*order, i])))
     return order

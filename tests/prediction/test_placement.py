@@ -125,7 +125,9 @@ REFUSED = {  # what is said: what is given
 }
 
 
-@refusals("given", REFUSED, {"`settings` must be draws or random_seed, got seed": {"seed": 1}})
+@refusals(
+    "given", REFUSED, {"keyword arguments of sensor_placement.* draws, random_seed, got 'seed'": {"seed": 1}}
+)
 def test_bad_input(given, error, match):
     with pytest.raises(error, match=match):
         pmf.sensor_placement(linear(np.ones((3, 4, 1))), **({"candidates": None, "n": 1} | given))
