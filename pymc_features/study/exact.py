@@ -19,12 +19,10 @@ CAL is NORM's likelihood to a power, stretched about its maximum along theta and
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import xarray as xr
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import expit, gammaincc, gammaln, logit
@@ -34,6 +32,9 @@ from pymc_features.calibration.sandwich import sandwich, stretching
 from pymc_features.likelihoods import LIKELIHOODS, abc_tolerance
 from pymc_features.likelihoods.catalogue import NORM, Exponents
 from pymc_features.study import paper
+
+if TYPE_CHECKING:
+    from pymc_features.study.settings import Study
 
 PARAMETERS = ("theta", "sigma", "tau")
 STATISTICS = ("map", "q05", "q50", "q95")
@@ -357,33 +358,16 @@ def scale_marginal(weighted, mass, half, largest):
     return Marginal(sigma, below / below[-1])
 
 
-@dataclass(eq=False)
 class Step:
-    """Misfit of the model at one sampling step, as a function of theta.
+    """Misfit between the measurements (sensor, time) of a study at one sampling step and its structure."""
 
-    Parameters
-    ----------
-    sums : callable
-        theta -> array (4, ...): sums over sensors and samples of the squares of the misfit and of its
-        increments, and over the sensors of its first and last square.
-    data : DataArray (sensor, time)
-        Measurements.
-    dt : float
-        Sampling step [s].
-    scale : float
-        Standard deviation of the noise, where sigma is known [m/s^2].
-    response : callable
-        theta -> array (sensor, time), the prediction of the measurements.
-    frequencies : callable
-        theta -> array (m,), natural frequencies of the structure [Hz].
-    """
+    def __init__(self, study: "Study", multiplier: float):
+        self.study, self.row = study, study.multipliers.index(multiplier)
+        self.data, self.dt = study.data(multiplier), study.step(multiplier)
 
-    sums: Callable[[np.ndarray], np.ndarray]
-    data: xr.DataArray
-    dt: float
-    scale: float
-    response: Callable[[float], np.ndarray]
-    frequencies: Callable[[float], np.ndarray]
+    def sums(self, theta) -> np.ndarray:
+        """Sums (4, ...) of squares of the misfit and its increments; over the sensors of first and last."""
+        return np.moveaxis(self.study.sums(theta)[..., self.row, :], -1, 0)
 
     @cached_property
     def curve(self) -> DiscrepancyCurve:
@@ -450,13 +434,14 @@ def calibrated(step: Step) -> ExactPosterior:
     low, high = paper.THETA_RANGE
     of_theta = (theta - low) * (high - theta) / (high - low)
     of_sigma = 1.0 - sigma / paper.SIGMA_RANGE[1]
-    ends = [step.response(theta + sign * DIFFERENCE) for sign in (1.0, -1.0)]
+    response = partial(step.study.response, dt=step.dt)
+    ends = [response(theta + sign * DIFFERENCE) for sign in (1.0, -1.0)]
     slope = (ends[0] - ends[1]) / (2.0 * DIFFERENCE * sigma) * of_theta
     n_sensors, n_times = step.data.shape
-    value = Comparison(step.response(theta), step.data.values, sigma, n_times, step=step.dt).by_sensor()
+    value = Comparison(response(theta), step.data.values, sigma, n_times, step=step.dt).by_sensor()
     slopes = np.stack([slope, np.zeros_like(slope)], axis=-1)
     of_scale = np.tile([0.0, of_sigma], (n_sensors, 1))
-    event = Event(value, slopes, of_scale, step.frequencies(theta))
+    event = Event(value, slopes, of_scale, step.study.at(theta).modes().natural_frequencies)
     curvature = norm.c * curve.curvature * (of_theta / sigma) ** 2
     information = np.diag([curvature, 2.0 * norm.m * of_sigma**2])
     precision = sandwich([event], model_error=None)._replace(information=information).precision
@@ -470,7 +455,7 @@ def calibrated(step: Step) -> ExactPosterior:
 
 OWN_POSTERIORS = {
     "ABC": with_tolerance,
-    "CN": lambda step: exact_posterior(step.weighted_curve, step.correlated, sigma=step.scale),
+    "CN": lambda step: exact_posterior(step.weighted_curve, step.correlated, sigma=step.study.scale),
     "CN-SIGMA": lambda step: exact_posterior(step.weighted_curve, step.correlated),
     "CN-TAU": lambda step: unknown_time_posterior(step.curve, step.sums, step.data.shape, step.dt),
     "CAL": calibrated,

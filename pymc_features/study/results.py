@@ -38,25 +38,24 @@ def assemble(study, parts: dict, shown) -> xr.DataTree:
 
     `shown` is called with what is in work and the number of parts that are finished.
     """
-    cells, tolerances, intervals = {}, [], []
+    columns = []
     for j, multiplier in enumerate(study.multipliers):
         shown(f"exact_x{multiplier:g}", len(parts) + j)
         step, has_abc = study.misfit(multiplier), "ABC" in study.likelihoods
-        tolerances.append(exact_tolerance(step) if has_abc else np.nan)
-        intervals.append(exact_interval(step) if has_abc else (np.nan, np.nan))
-        for kind in study.likelihoods:
-            cells[kind, multiplier] = cell(reference(kind, step), parts[kind, multiplier])
-    dims = ("likelihood", "multiplier", "parameter", "statistic")
-    table = {}
-    for name in cells[kind, multiplier]:
-        rows = [[cells[kind, m][name] for m in study.multipliers] for kind in study.likelihoods]
-        table[name] = (dims[: np.ndim(rows)], np.array(rows))
-    table["epsilon"] = ("multiplier", tolerances)
-    table["epsilon_interval"] = (("multiplier", "end"), intervals)
-    table["step"] = ("multiplier", np.array(study.multipliers) * study.record.dt, {"units": "s"})
-    labels = list(study.likelihoods), list(study.multipliers), list(PARAMETERS), list(STATISTICS)
-    coords = dict(zip(dims, labels, strict=True)) | {"end": ["low", "high"]}
-    groups = {"/summary": xr.Dataset(table, coords), "/data": data_of(study)}
+        rows = [cell(reference(kind, step), parts[kind, multiplier]) for kind in study.likelihoods]
+        column = xr.concat(rows, "likelihood")
+        column["epsilon"] = exact_tolerance(step) if has_abc else np.nan
+        column["epsilon_interval"] = "end", list(exact_interval(step)) if has_abc else [np.nan, np.nan]
+        columns.append(column.assign(step=((), step.dt, {"units": "s"})))
+    summary = xr.concat(columns, "multiplier").assign_coords(
+        likelihood=list(study.likelihoods),
+        multiplier=list(study.multipliers),
+        parameter=list(PARAMETERS),
+        statistic=list(STATISTICS),
+        end=["low", "high"],
+    )
+    summary = summary.transpose("likelihood", "multiplier", "parameter", "statistic", "end")
+    groups = {"/summary": summary, "/data": data_of(study)}
     if not study.at().is_linear:
         groups["/loops"] = loops_of(study)
     tree = xr.DataTree.from_dict(groups)
@@ -90,7 +89,7 @@ def loops_of(study) -> xr.Dataset:
     return loops
 
 
-def cell(reference, part) -> dict:
+def cell(reference, part) -> xr.Dataset:
     """Statistics of one likelihood at one sampling step, sampled and exact; NaN of what it does not infer.
 
     The maximum of the draws is the draw of the highest density. There is no R-hat of one chain.
@@ -98,18 +97,23 @@ def cell(reference, part) -> dict:
     import arviz as az  # here: half a second that a mere import of the package need not take
 
     posterior = part["posterior"].to_dataset()
-    draws = {name: posterior[name].values.ravel() for name in PARAMETERS if name in posterior}
+    posterior = posterior[[name for name in PARAMETERS if name in posterior]]
+    draws = {name: values.values.ravel() for name, values in posterior.data_vars.items()}
     best = reference.log_density(draws).argmax()
-    sampled = np.full((len(PARAMETERS), len(STATISTICS)), np.nan)
-    r_hat, ess = np.full(len(PARAMETERS), np.nan), np.full(len(PARAMETERS), np.nan)
-    for name, values in draws.items():
-        k = PARAMETERS.index(name)
-        sampled[k] = [values[best], *np.quantile(values, PROBABILITIES)]
-        if posterior.sizes["chain"] > 1:
-            r_hat[k] = float(az.rhat(posterior[[name]])[name])
-        ess[k] = float(az.ess(posterior[[name]], method="bulk")[name])
-    of_part = {"seconds": part.attrs["seconds"], "log_evidence": reference.log_evidence}
-    return {"sampled": sampled, "exact": reference.statistics, "r_hat": r_hat, "ess_bulk": ess, **of_part}
+    sampled = {name: [x[best], *np.quantile(x, PROBABILITIES)] for name, x in draws.items()}
+    r_hat = az.rhat(posterior) if posterior.sizes["chain"] > 1 else {}
+    ess = az.ess(posterior, method="bulk")
+    unknown = [np.nan] * len(STATISTICS)
+    return xr.Dataset(
+        {
+            "sampled": (("parameter", "statistic"), [sampled.get(name, unknown) for name in PARAMETERS]),
+            "exact": (("parameter", "statistic"), reference.statistics),
+            "r_hat": ("parameter", [float(r_hat.get(name, np.nan)) for name in PARAMETERS]),
+            "ess_bulk": ("parameter", [float(ess.get(name, np.nan)) for name in PARAMETERS]),
+            "seconds": part.attrs["seconds"],
+            "log_evidence": reference.log_evidence,
+        }
+    )
 
 
 class Table(NamedTuple):

@@ -128,15 +128,7 @@ class Study:
     def misfit(self, multiplier: float) -> Step:
         """The misfit at one sampling step, for the exact posteriors; the same object each time."""
         if multiplier not in self.steps:
-            row, dt = self.multipliers.index(multiplier), self.step(multiplier)
-            self.steps[multiplier] = Step(
-                lambda theta: np.moveaxis(self.sums(theta)[..., row, :], -1, 0),
-                self.data(multiplier),
-                dt,
-                self.scale,
-                partial(self.response, dt=dt),
-                lambda theta: self.at(theta).modes().natural_frequencies,
-            )
+            self.steps[multiplier] = Step(self, multiplier)
         return self.steps[multiplier]
 
     def response(self, theta: float, dt: float) -> np.ndarray:
