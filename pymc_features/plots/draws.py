@@ -224,12 +224,12 @@ def natural_frequencies(
 
 def scalars(draws: xr.Dataset) -> xr.Dataset:
     """Each entry of the parameters as a variable (chain, draw) with its name, such as k[0, 1]."""
-    found = {}
-    for name, values in draws.data_vars.items():
-        rest = [dim for dim in values.dims if dim not in SAMPLE]
-        for index in np.ndindex(*(values.sizes[dim] for dim in rest)):
-            entry = values.isel(dict(zip(rest, index, strict=True)), drop=True)
-            found[f"{name}{list(index)}" if rest else name] = entry.transpose(*SAMPLE).reset_coords(drop=True)
+    from arviz_base import labels, xarray_sel_iter  # slow to import
+
+    found, named = {}, labels.IdxLabeller()
+    for name, at, place in xarray_sel_iter(draws, skip_dims={*SAMPLE}):
+        entry = draws[name].isel(place).transpose(*SAMPLE)
+        found[named.make_label_flat(name, at, place)] = entry.reset_coords(drop=True)
     return xr.Dataset(found)
 
 
