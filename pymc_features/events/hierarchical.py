@@ -46,16 +46,7 @@ from pymc_features.smc.proposals.mixture import pareto_k
 from pymc_features.smc.proposals.pool import LARGEST_K
 
 ROUNDS = 3  # of sampling events again
-OF_SAMPLE = (
-    "draws",
-    "chains",
-    "cores",
-    "executor",
-    "progressbar",
-    "compile_kwargs",
-    "stage_draws",
-    "threshold",
-)
+OF_SAMPLERS = ("cores", "executor", "progressbar", "compile_kwargs", "stage_draws", "threshold")
 OWN_SHARE = 0.1  # of an event's own prior, in that under which it is sampled again
 WIDER, DEGREES = 1.3, 5.0  # of the rest of that prior, over what is known of the population
 CHECKED, OFTEN = 200, 0.9  # values of psi at which weights are looked at, and how many of them must be good
@@ -144,7 +135,7 @@ def hierarchical(
     names = shared_names(hyper, events)
     stored = [stored_draws(event, models and models[i], hyper, names, i) for i, event in enumerate(events)]
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(2)[1])
-    check_keywords(settings, OF_SAMPLE, "hierarchical")
+    check_keywords(settings, ("draws", "chains", *OF_SAMPLERS), "hierarchical")
     settings["random_seed"] = random_seed
     counts, marginal = np.zeros(len(events), dtype=int), Marginal(hyper, names, stored, event_draws)
     for round_ in range(ROUNDS + 1):

@@ -31,6 +31,7 @@ from pymc_features._checks import (
     single,
 )
 from pymc_features.events.compare import evidence_of
+from pymc_features.events.hierarchical import OF_SAMPLERS
 from pymc_features.exceptions import SamplingWarning, StudyMismatchError
 from pymc_features.inference.parameters import (
     Unconstrained,
@@ -53,15 +54,6 @@ ALARM = 0.5  # probability of a change from which there is an alarm
 CLEARLY = 0.01  # nats for each draw by which more must be better than a Gaussian: what it adds is noise else
 GAUSSIAN = 1e6  # degrees of freedom
 OF_RUN = ("drift", "forgetting", "change")  # of `events.continue_with` alone
-OF_SAMPLE_SMC = (
-    "cores",
-    "executor",
-    "progressbar",
-    "compile_kwargs",
-    "stage_draws",
-    "threshold",
-    "checkpoint",
-)
 
 
 def continue_with(
@@ -156,7 +148,7 @@ def continue_with(
         forgetting = check_share(forgetting, "forgetting", "1 forgets nothing.")
     draws = posterior.sizes["draw"] if draws is None else check_integer(draws, "draws", least=100)
     check_seed(random_seed, several=False)
-    check_keywords(settings, OF_SAMPLE_SMC, "continue_with")
+    check_keywords(settings, (*OF_SAMPLERS, "checkpoint"), "continue_with")
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(3)[2])
     points = moved(model, posterior, drift, rng)
     before = fit_density(points, rng, float(forgetting))
