@@ -28,7 +28,6 @@ from pymc_features.update.config.messages import named_key, refuse
 from pymc_features.update.config.sections import Section, key, window
 from pymc_features.update.kinds.base import (
     QUANTILES,
-    Figure,
     KindOfData,
     Setting,
     Verdict,
@@ -285,14 +284,8 @@ class Ambient(KindOfData):
 
     def figures_of(self, problem, part, kind):
         """The spectra, and the modes."""
-        spectra = Figure(
-            f"{kind}_spectra",
-            f"{kind}: singular values of the spectra of the channels (black the first, grey the others), "
-            "averaged over twenty parts of the record; shaded the bands that are compared, and in red "
-            "what the model makes of them there, median and 5-95 % interval. Dotted: identified modes.",
-            lambda: self.draw(part["spectra"].to_dataset()),
-        )
-        return [spectra, *(() if self.modes is None else self.modes.figures_of(problem, part, kind))]
+        found = {"spectra": lambda: self.draw(part["spectra"].to_dataset())}
+        return found if self.modes is None else found | self.modes.figures_of(problem, part, kind)
 
     def verdict(self, problem, result, kind):
         """Whether the power in each part of the bands is what the model expects, and the modes are."""

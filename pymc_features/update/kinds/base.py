@@ -39,24 +39,17 @@ class Verdict(NamedTuple):
     explains: bool
 
 
-class Figure(NamedTuple):
-    """A figure: its file name without suffix, its caption, and a function that draws it."""
-
-    name: str
-    caption: str
-    draw: Callable
-
-    def png(self, dpi: float = REPORT_DPI) -> bytes:
-        """The figure as a PNG file; it is released."""
-        axes, buffer = self.draw(), io.BytesIO()
-        axes[0].get_figure(root=True).savefig(buffer, dpi=dpi, format="png")
-        plots.close(axes[:1])
-        return buffer.getvalue()
+def png(draw: Callable, dpi: float = REPORT_DPI) -> bytes:
+    """What a function draws as a PNG file; the figure is released."""
+    axes, buffer = draw(), io.BytesIO()
+    axes[0].get_figure(root=True).savefig(buffer, dpi=dpi, format="png")
+    plots.close(axes[:1])
+    return buffer.getvalue()
 
 
 def drawn_to(path: Path, draw: Callable) -> str:
     """Write a figure of `check`; a sentence that says so."""
-    image = Figure("", "", draw).png(CHECK_DPI)
+    image = png(draw, CHECK_DPI)
     write_atomically(path, lambda to: to.write_bytes(image))
     return f"wrote {path}"
 
@@ -167,13 +160,13 @@ class KindOfData:
         """Tables of the report, as of `table`: the data, and what likelihoods make of them."""
         return []
 
-    def figures(self, problem, result) -> list[Figure]:
-        """Figures that all likelihoods share."""
-        return []
+    def figures(self, problem, result) -> dict[str, Callable]:
+        """Figures that all likelihoods share: names of files without suffix to functions that draw."""
+        return {}
 
-    def figures_of(self, problem, part, kind: str) -> list[Figure]:
-        """Figures of one likelihood."""
-        return []
+    def figures_of(self, problem, part, kind: str) -> dict[str, Callable]:
+        """Figures of one likelihood, by what follows its name in that of the file."""
+        return {}
 
 
 def table(name, section, title="", columns=(), rows=(), note="") -> dict:

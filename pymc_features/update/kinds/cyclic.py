@@ -17,7 +17,7 @@ from pymc_features.prediction import posterior_response
 from pymc_features.update.config.messages import named_key, refuse, shown
 from pymc_features.update.config.sections import Section, key
 from pymc_features.update.config.structures import SPECIMENS
-from pymc_features.update.kinds.base import Figure, Setting, Verdict, drawn_to, table
+from pymc_features.update.kinds.base import Setting, Verdict, drawn_to, table
 from pymc_features.update.kinds.channels import Measured
 from pymc_features.update.kinds.histories import DRAWS, Histories, check_likelihood
 from pymc_features.update.kinds.model import draws_of_priors
@@ -95,9 +95,9 @@ class Cyclic(Histories):
         """How many forces."""
         return f"{self.measured.record.n_times} measured forces of a cyclic test"
 
-    def bands(self, problem, likelihood, model, idata):
+    def bands(self, problem, likelihood, model, idata, response):
         """Add the displacement beside the time."""
-        found = super().bands(problem, likelihood, model, idata)
+        found = super().bands(problem, likelihood, model, idata, response)
         return found.assign_coords(displacement=("time", self.measured.record.displacement))
 
     def shared(self, problem):
@@ -141,15 +141,7 @@ class Cyclic(Histories):
         """Force against displacement."""
         bands, force = part["bands"].to_dataset(), part["observed_data"]["y"]
         found = bands[["response"]].rename(response=self.quantity)
-        return [
-            Figure(
-                f"{kind}_loops",
-                f"{kind}: force against displacement in three parts of the test. Dashed what was measured; "
-                "blue the 5-95 % interval and the median of the specimen, from the uncertainty of the "
-                "parameters.",
-                lambda: plots.loops(found, measured=force),
-            )
-        ]
+        return {"loops": lambda: plots.loops(found, measured=force)}
 
     def verdict(self, problem, result, kind):
         """Whether the median force meets the measured one."""

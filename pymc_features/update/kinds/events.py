@@ -20,7 +20,7 @@ from pymc_features.exceptions import ConfigError, StudyMismatchError
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.update.config.messages import shown
 from pymc_features.update.config.sections import Section, key
-from pymc_features.update.kinds.base import Figure, Setting, table
+from pymc_features.update.kinds.base import Setting, table
 from pymc_features.update.kinds.channels import Measured, checked_dofs, read_measured
 from pymc_features.update.kinds.histories import check_likelihood, prints_of
 from pymc_features.update.kinds.model import declare, kinds_of
@@ -265,8 +265,7 @@ class Events(Responses):
                 ax.set_ylabel(f"{ax.get_ylabel()} [{units.get(ax.get_ylabel(), '-')}]")
             return axes
 
-        words = f"{kind}: mean and 90 % interval of each parameter after each event, with the alarms."
-        return [Figure(f"{kind}_events", words, draw), *super().figures_of(problem, part, kind)]
+        return {"events": draw} | super().figures_of(problem, part, kind)
 
 
 def event_rows(record) -> list[tuple[str, ...]]:

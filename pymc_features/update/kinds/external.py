@@ -1,6 +1,7 @@
 """A program that someone else wrote in place of a structure: the section [external]."""
 
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,9 +18,9 @@ from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Parameter
 from pymc_features.update.config.messages import named_key, refuse
 from pymc_features.update.config.sections import MEASURED, Section, key
-from pymc_features.update.kinds.base import QUANTILES, Setting, Verdict, channels_table
+from pymc_features.update.kinds.base import Setting, Verdict, channels_table
 from pymc_features.update.kinds.channels import Measured, part_compared, read_whole
-from pymc_features.update.kinds.histories import Histories, check_likelihood, components_of
+from pymc_features.update.kinds.histories import Histories, check_likelihood
 from pymc_features.update.kinds.model import thinned
 from pymc_features.update.kinds.responses import (
     DENSE,
@@ -194,27 +195,18 @@ class External(Histories):
                 progressbar=running.progressbar,
             )
 
-    def responses(self, problem, model, idata) -> tuple[xr.Dataset, np.ndarray]:
-        """Some draws, and their responses (sample, sensor, time) by the program or its emulator."""
-        drawn = thinned(idata["posterior"].to_dataset(), SIMULATED)
-        columns = [drawn[name].transpose("chain", "draw").values.ravel() for name in problem.structure.names]
+    @contextmanager
+    def responses(self, problem, model, idata):
+        """Take responses by the program or its emulator, without those at which the program fails."""
+        drawn = thinned(idata["posterior"].to_dataset(), SIMULATED).stack(sample=("chain", "draw"))
         # the emulator where the model has one; that of ABC has no response among its variables
         ops = [v.owner.op for v in ancestors(model.basic_RVs) if v.owner is not None]
         found = next((op.simulator for op in ops if isinstance(op, ExternalResponse)), self.simulator)
-        return drawn, found.responses(*columns)[..., self.measured.window]
-
-    def response_quantiles(self, problem, model, idata):
-        """Take quantiles of the responses of some draws, without those at which the program fails."""
-        return np.nanquantile(self.responses(problem, model, idata)[1], QUANTILES, axis=0)
-
-    def components(self, problem, model, idata, median):
-        """Take `components_of` the responses of some draws."""
-        drawn, responses = self.responses(problem, model, idata)
-        off = np.moveaxis(responses - median.values, 0, -1)
-        known = np.isfinite(off).all(axis=(0, 1))
-        stacked = drawn.stack(sample=("chain", "draw"))
-        labels = {name: ("sample", stacked[name].values[known]) for name in ("chain", "draw")}
-        return components_of(lambda: [(0, off[..., known])], median, labels)
+        values = found.responses(*(drawn[name].values for name in problem.structure.names))
+        values = values[..., self.measured.window]
+        known = np.isfinite(values).all(axis=(1, 2))
+        labels = {name: ("sample", drawn[name].values[known]) for name in ("chain", "draw")}
+        yield labels, lambda: [(0, np.moveaxis(values[known], 0, -1))]
 
     def shared(self, problem):
         """The histories that were measured."""

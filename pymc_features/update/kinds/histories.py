@@ -1,6 +1,7 @@
 """Measured histories that responses of a model are compared with in time, under the section [likelihood]."""
 
 import json
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -24,7 +25,6 @@ from pymc_features.update.config.messages import named_key
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds.base import (
     QUANTILES,
-    Figure,
     KindOfData,
     Setting,
     check_positive,
@@ -37,10 +37,6 @@ from pymc_features.update.templates.numbers import interval_texts
 DRAWS = 200
 COMPONENTS, HELD = 6, 0.999  # at most so many, or as many as hold this share of the variance of responses
 ZOOM = 4.0  # [s] around the strongest motion
-LONG = (
-    "A record of more samples than the figure has pixels is drawn by its smallest and largest values: as a "
-    "grey area what was measured, by two lines a response that oscillates too fast for one."
-)
 ERROR_OF_FIT = ("likelihood", "sensor", "rms error / measured rms", "samples in the 90 % band")
 
 
@@ -137,15 +133,45 @@ class Histories(KindOfData):
 
     def predict(self, problem, likelihood, model, idata):
         """The histories, bands of the response, and responses of draws by their principal components."""
-        bands = self.bands(problem, likelihood, model, idata)
-        median = bands["response"].sel(quantile=0.5, drop=True)
-        return {
-            "observed_data": xr.Dataset({"y": self.measured.with_units}),
-            "bands": bands,
-            "histories": self.components(problem, model, idata, median),
-        }
+        observed = self.channels
+        with self.responses(problem, model, idata) as (labels, blocks):
+            quantiles = np.empty((len(QUANTILES), *observed.shape))
+            for first, values in blocks():
+                part = slice(first, first + values.shape[1])
+                quantiles[:, :, part] = np.quantile(values, QUANTILES, axis=-1)
+            dims, coords = (
+                ("quantile", *observed.dims),
+                {"sensor": observed["sensor"], "time": observed["time"]},
+            )
+            response = xr.DataArray(quantiles, {"quantile": list(QUANTILES)} | coords, dims)
+            median = response.sel(quantile=0.5, drop=True)
+            return {
+                "observed_data": xr.Dataset({"y": self.measured.with_units}),
+                "bands": self.bands(problem, likelihood, model, idata, response),
+                "histories": components_of(blocks, median, labels),
+            }
 
-    def bands(self, problem, likelihood, model, idata) -> xr.Dataset:
+    @contextmanager
+    def responses(self, problem, model, idata):
+        """Labels of some draws, and a function that yields blocks of their responses where they are compared.
+
+        A block has its first sample and the responses (sensor, time, draw) from there on.
+        """
+        posterior, name, start = idata["posterior"].to_dataset(), self.quantity, self.measured.first
+        asked = [self.measured.record], [name], DRAWS, 0
+        with structure_draws(
+            posterior, problem.structure, *asked, keep_histories=True, **self.settings(problem)
+        ) as drawn:
+
+            def blocks():
+                for first, values in drawn.ensemble.blocks(0, name):
+                    at, end = max(first, start), start + self.channels.sizes["time"]
+                    if first < end and first + values.shape[1] > at:
+                        yield at - start, values[:, at - first : end - first]
+
+            yield drawn.labels, blocks
+
+    def bands(self, problem, likelihood, model, idata, response) -> xr.Dataset:
         """Bands of the response and of data like those measured, at the sensors.
 
         `response` (quantile, sensor, time) is of the parameters' uncertainty alone; `predictive`, the same of
@@ -154,62 +180,24 @@ class Histories(KindOfData):
         band, both without the gaps in what was measured; peaks of other responses (`<quantity>_peak`) if the
         report asks for them.
         """
-        observed = self.channels
-        coords = {"quantile": list(QUANTILES), "sensor": observed["sensor"], "time": observed["time"]}
-        dims = ("quantile", "sensor", "time")
-        quantiles = self.response_quantiles(problem, model, idata)
-        found = xr.Dataset({"response": (dims, quantiles)}, coords=coords)
-        off = observed - found["response"].sel(quantile=0.5, drop=True)
+        observed, found = self.channels, xr.Dataset({"response": response})
+        off = observed - response.sel(quantile=0.5, drop=True)
         with np.errstate(divide="ignore", invalid="ignore"):  # of a channel of zeros
             found["normalised_error"] = np.sqrt((off**2).mean("time") / (observed**2).mean("time"))
         if not LIKELIHOODS[likelihood].is_likelihood_free:
-            found["predictive"] = dims, predictive(model, idata, self.n_predicted)
+            found["predictive"] = response.dims, predictive(model, idata, self.n_predicted)
             low, high = found["predictive"].isel(quantile=0), found["predictive"].isel(quantile=-1)
             inside = ((observed >= low) & (observed <= high)).where(observed.notnull())
             found["coverage"] = inside.mean("time")
         if names := problem.config.report.quantities:
-            rest = self.responses_of_draws(problem, idata, names, sensors=None)
+            settings = self.settings(problem) | {"draws": DRAWS, "random_seed": 0, "sensors": None}
+            rest = posterior_response(idata, problem.structure, self.measured.record, names, **settings)
             for name in names:
                 peak = rest[f"{name}_peak"]
                 rows = {dim: f"{name}_{dim}" for dim in peak.dims if dim != "sample"}
                 kept = peak.rename(rows).quantile(QUANTILES, dim="sample", keep_attrs=True)
                 found[f"{name}_peak"] = kept.drop_vars([c for c in kept.coords if c not in kept.dims])
         return found
-
-    def responses_of_draws(self, problem, idata, quantities, **others) -> xr.Dataset:
-        """Quantiles of responses, and peaks, of draws to the motion that was measured."""
-        settings = self.settings(problem) | {"draws": self.n_predicted, "quantiles": QUANTILES} | others
-        record = self.measured.record
-        return posterior_response(idata, problem.structure, record, quantities, random_seed=0, **settings)
-
-    def response_quantiles(self, problem, model, idata) -> np.ndarray:
-        """Quantiles (quantile, sensor, time) of the responses of draws where they are compared."""
-        found = self.responses_of_draws(problem, idata, self.quantity)
-        return found[self.quantity].values[..., self.measured.window]
-
-    def components(self, problem, model, idata, median) -> xr.Dataset:
-        """Take `components_of` the responses to the motion that was measured."""
-        posterior, name = idata["posterior"].to_dataset(), self.quantity
-        with structure_draws(
-            posterior,
-            problem.structure,
-            [self.measured.record],
-            [name],
-            DRAWS,
-            0,
-            keep_histories=True,
-            **self.settings(problem),
-        ) as drawn:
-            window = np.arange(len(drawn.ensemble.times(0)))[self.measured.window]
-
-            def deviations():
-                for first, values in drawn.ensemble.blocks(name):
-                    inside = window[(window >= first) & (window < first + values.shape[1])]
-                    if inside.size:
-                        at = inside - window[0]
-                        yield int(at[0]), values[:, inside - first] - median.values[:, at, None]
-
-            return components_of(deviations, median, drawn.labels)
 
     def sentences(self, problem, result, explains):
         """Gaps, and how many observations the residuals support."""
@@ -266,21 +254,10 @@ class Histories(KindOfData):
 
     def figures_of(self, problem, part, kind):
         """What was measured with the bands, all of it and its strongest part."""
-        shades = "Dark: 5-95 % of the response, from the uncertainty of the parameters. "
-        if "predictive" in part["bands"]:
-            shades += "Light: 5-95 % of data drawn from the likelihood, where measured samples should lie."
-        return [
-            Figure(
-                f"{kind}_response",
-                f"{kind}: measured response and posterior predictive bands. {shades} {LONG}",
-                lambda: plots.predictive(part),
-            ),
-            Figure(
-                f"{kind}_response_zoom",
-                f"{kind}: the same, {ZOOM:g} s around the strongest motion.",
-                lambda: plots.predictive(part, window=strongest(part)),
-            ),
-        ]
+        return {
+            "response": lambda: plots.predictive(part),
+            "response_zoom": lambda: plots.predictive(part, window=strongest(part)),
+        }
 
 
 def predictive(model, idata, draws: int) -> np.ndarray:
@@ -304,20 +281,26 @@ def components_of(blocks, median, labels) -> xr.Dataset:
     The deviations D (sensor and time, draw) have the Gram matrix D'D = V diag(s^2) V'; the components are
     U = D V with the largest s, and a draw is the median plus U times its row of V.
 
-    `blocks()` yields a first sample and the deviations from the `median` (sensor, time) from there on
-    (sensor, time, draw); `labels` are `chain` and `draw` of each sample. The Dataset has `component`
+    `blocks()` yields a first sample and the responses from there on (sensor, time, draw), of which `median`
+    is (sensor, time); `labels` are `chain` and `draw` of each sample. The Dataset has `component`
     (component, sensor, time), `coefficient` (sample, component), and the share of the variance that is held
     in `attrs`.
     """
-    gram = sum(np.einsum("rta,rtb->ab", d, d) for _, d in blocks())
+
+    def deviations():
+        for first, values in blocks():
+            part = slice(first, first + values.shape[1])
+            yield part, values - median.values[:, part, None]
+
+    gram = sum(np.einsum("rta,rtb->ab", d, d) for _, d in deviations())
     squares, vectors = np.linalg.eigh(gram)
     squares, vectors = np.maximum(squares[::-1], 0.0), vectors[:, ::-1]
     total = squares.sum()
     share = np.cumsum(squares) / total if total > 0.0 else np.ones(len(squares))
     n = min(int(np.searchsorted(share, HELD)) + 1, COMPONENTS, len(squares))
     component = np.zeros((n, *median.shape), np.float32)
-    for first, block in blocks():
-        component[:, :, first : first + block.shape[1]] = np.einsum("rts,sc->crt", block, vectors[:, :n])
+    for part, d in deviations():
+        component[:, :, part] = np.einsum("rts,sc->crt", d, vectors[:, :n])
     return xr.Dataset(
         {
             "component": (("component", *median.dims), component),

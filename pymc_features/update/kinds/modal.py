@@ -25,7 +25,6 @@ from pymc_features.update.config.messages import named_key, refuse, shown
 from pymc_features.update.config.sections import Names, Section, key, parameters_of
 from pymc_features.update.kinds.base import (
     QUANTILES,
-    Figure,
     KindOfData,
     Setting,
     Verdict,
@@ -380,7 +379,7 @@ class Modal(KindOfData):
             yield f"Outside of what the priors expect (5 to 95 %): {named}."
         part = {"mode_shapes": mode_shapes(problem, draws), "matched": matched}
         if figures := self.figures_of(problem, part, ""):
-            yield drawn_to(path, figures[-1].draw)
+            yield drawn_to(path, [*figures.values()][-1])
 
     def tables(self, problem, result):
         """Frequencies with standard deviations, damping, the places of channels; and those of the model."""
@@ -412,30 +411,16 @@ class Modal(KindOfData):
     def figures_of(self, problem, part, kind):
         """The MAC matrix and the shapes."""
         if not self.dofs:
-            return []
+            return {}
         points = points_of(problem)
         at = points.of(self.dofs)
         kept = {"mode": slice(self.n_modes)}
         shapes, frequencies = (part["mode_shapes"][key].isel(kept).values for key in ("shape", "frequency"))
         partners = [row.partner - 1 for row in self.rows(part["matched"])]
-        found = [
-            Figure(
-                f"{kind}_mac",
-                f"{kind}: modal assurance criterion of the identified shapes and those of the model, "
-                "median and 5-95 % interval of the draws. Framed: the modes that are matched.",
-                lambda: plots.mac(self.data, shapes[..., at], frequencies, partners=partners),
-            )
-        ]
+        found = {"mac": lambda: plots.mac(self.data, shapes[..., at], frequencies, partners=partners)}
         if self.is_drawn(problem):
             places = {"sensors": at, "nodes": points.nodes, "partners": partners}
-            found.append(
-                Figure(
-                    f"{kind}_shapes",
-                    f"{kind}: identified shapes (dots) on those of the model they are matched with, each "
-                    "draw scaled by the factor that brings it closest.",
-                    lambda: plots.mode_shapes(self.data, shapes, frequencies, **places),
-                )
-            )
+            found["shapes"] = lambda: plots.mode_shapes(self.data, shapes, frequencies, **places)
         return found
 
     def verdict(self, problem, result, kind):

@@ -17,7 +17,6 @@ from pymc_features.simulators.simulate import respond
 from pymc_features.update.config.sections import MEASURED, Data
 from pymc_features.update.kinds.base import (
     QUANTILES,
-    Figure,
     Setting,
     Verdict,
     channels_table,
@@ -119,9 +118,9 @@ class Responses(Histories):
         """Whether floors follow the base somewhere, or a resonance was seen."""
         return self.measured.is_checked
 
-    def bands(self, problem, likelihood, model, idata):
+    def bands(self, problem, likelihood, model, idata, response):
         """Add what refining the base changes, over the half-width of the 90 % bands, (sensor,)."""
-        found, posterior = super().bands(problem, likelihood, model, idata), idata["posterior"]
+        found, posterior = super().bands(problem, likelihood, model, idata, response), idata["posterior"]
         values = {name: float(posterior[name].mean()) for name in problem.structure.names}
         low, high = (
             found["response"].sel(quantile=[0.05, 0.95]).transpose("quantile", "sensor", "time").values
@@ -240,20 +239,10 @@ class Responses(Histories):
 
     def figures(self, problem, result):
         """The motion of the base, and the gain of the sensors against it."""
-        return [
-            Figure(
-                "record",
-                "Motion of the base that the model is shaken with, after processing.",
-                lambda: plots.record(result),
-            ),
-            Figure(
-                "frequencies",
-                "Gain of the sensors against the base (root of the ratio of power spectra), and below it the "
-                "5-95 % intervals of the natural frequencies with their medians under each likelihood. "
-                "Dotted: peaks of the gain; dashed: frequencies given in the configuration, or identified.",
-                lambda: plots.natural_frequencies(result),
-            ),
-        ]
+        return {
+            "record": lambda: plots.record(result),
+            "frequencies": lambda: plots.natural_frequencies(result),
+        }
 
     def verdict(self, problem, result, kind):
         """Whether the median response explains what was measured, and where it does not."""
