@@ -347,9 +347,9 @@ def predict(options, console):
     from pymc_features.storage import netcdf_bytes, write_atomically
     from pymc_features.update.predictions import predicted_rows, predicted_table
     from pymc_features.update.report.document import put_predictions
+    from pymc_features.update.report.outputs import predict_stored
     from pymc_features.update.report.page import write_page
     from pymc_features.update.report.terminal import drawn_table
-    from pymc_features.update.run import predict_stored
 
     config = Path(options.config)
     out = Path(options.out or config.with_name(f"{config.stem}-output"))

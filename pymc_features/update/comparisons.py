@@ -10,14 +10,13 @@ import xarray as xr
 
 from pymc_features.events import compare, hierarchical
 from pymc_features.exceptions import ConfigError
-from pymc_features.update.config.messages import named_key, shown
+from pymc_features.update.config.keys import named_key, shown
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.configuration import validated
 from pymc_features.update.kinds import KINDS
-from pymc_features.update.kinds.base import QUANTILES, table
-from pymc_features.update.kinds.model import declare
+from pymc_features.update.kinds.base import QUANTILES, declare, table
 from pymc_features.update.problem import Problem, problem_of
-from pymc_features.update.sampling import RunSettings, run_parts, seed_of
+from pymc_features.update.sampling import Running, run_parts, seed_of
 from pymc_features.update.templates.numbers import interval_texts
 
 GIVEN = "[structure]"  # what the structure of the file is called
@@ -79,7 +78,7 @@ def with_evidence(kinds) -> list[str]:
     return [kind for kind in kinds if not (KINDS[kind].calibrates or KINDS[kind].is_likelihood_free)]
 
 
-def parts_of(problems, folder: str, settings: RunSettings) -> dict[str, dict[str, xr.DataTree]]:
+def parts_of(problems, folder: str, settings: Running) -> dict[str, dict[str, xr.DataTree]]:
     """What is sampled of several problems, each kept in a folder of its own within that of the update."""
 
     def told(name, part, done, total):
@@ -95,7 +94,7 @@ def parts_of(problems, folder: str, settings: RunSettings) -> dict[str, dict[str
     return found
 
 
-def compared(problem: Problem, candidates, parts, settings: RunSettings) -> dict[str, xr.Dataset]:
+def compared(problem: Problem, candidates, parts, settings: Running) -> dict[str, xr.Dataset]:
     """Evidence and probability of all candidates, and of `parts`, sampled with the structure of the file.
 
     Of each likelihood that has an evidence `compare/<likelihood>` has the group `comparison` (model,) of
@@ -112,7 +111,7 @@ def compared(problem: Problem, candidates, parts, settings: RunSettings) -> dict
     return groups
 
 
-def populations(problem: Problem, members, parts, settings: RunSettings) -> dict[str, xr.Dataset]:
+def populations(problem: Problem, members, parts, settings: Running) -> dict[str, xr.Dataset]:
     """The population that members, and `parts`, what was sampled with the file's data, come from.
 
     Of each likelihood that has a density `hierarchical/<likelihood>/` has the groups `population` (mean and

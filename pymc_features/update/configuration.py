@@ -7,8 +7,7 @@ from pydantic import Field, ValidationError, create_model, model_validator
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.entries import units_in
-from pymc_features.update.config.keys import check_keys, parsed
-from pymc_features.update.config.messages import sentence, shown
+from pymc_features.update.config.keys import check_keys, parsed, sentence, shown
 from pymc_features.update.config.sections import (
     Candidate,
     Hierarchical,

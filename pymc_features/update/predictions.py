@@ -12,7 +12,7 @@ from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_record
 from pymc_features.prediction import first_passage_probability, posterior_response
 from pymc_features.records import Record
-from pymc_features.update.config.messages import named_key
+from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import QUANTITIES, RecordFile, key
 from pymc_features.update.kinds.base import QUANTILES, table
 from pymc_features.update.templates.numbers import interval_texts, predicted_quantities, scale_of

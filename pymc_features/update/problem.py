@@ -11,7 +11,7 @@ import numpy as np
 
 from pymc_features.exceptions import ConfigError, PriorWarning
 from pymc_features.structures import Structure
-from pymc_features.update.config.messages import named_key, shown
+from pymc_features.update.config.keys import named_key, shown
 from pymc_features.update.config.priors import Prior
 from pymc_features.update.config.structures import StructureOf, modes_of
 from pymc_features.update.configuration import Config, read_config
@@ -20,7 +20,7 @@ from pymc_features.update.kinds.base import KindOfData, Setting, Verdict
 from pymc_features.update.kinds.external import ProgramOf
 from pymc_features.update.kinds.modal import Modal
 from pymc_features.update.plausibility.findings import of_priors
-from pymc_features.update.plausibility.prior_modes import PriorModes, moved_mass, prior_modes
+from pymc_features.update.plausibility.prior_modes import moved_mass, prior_modes
 from pymc_features.update.predictions import check_predictions
 
 FIRST = 5  # natural frequencies in a sentence
@@ -180,7 +180,9 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
     structure = model_of(config, path.parent)
     with named_key("structure"):
         expected = structure(**{n: priors[n].median for n in structure.names})
-        prior = expected_modes(structure, priors, expected) if structure.has_modes else None
+        draws, prior = {name: priors[name].draw for name in structure.names}, None
+        if structure.has_modes:
+            prior = prior_modes(structure, draws, expected, structure.modes)
     if prior is not None:
         for sentence in of_priors(prior, {name: uses[0][1] for name, uses in config.uses().items()}):
             warnings.warn(sentence, PriorWarning, stacklevel=2)
@@ -199,16 +201,3 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
         )
     check_predictions(config, structure)
     return Problem(path, text, config, raw, structure, expected, priors, data)
-
-
-def expected_modes(structure: StructureOf, priors, expected) -> PriorModes:
-    """Modes of draws of the priors; `expected` is the structure at the medians."""
-    with np.errstate(all="ignore"):  # the inverse of a tiny mass is no number
-        found = modes_of(expected, 1).natural_frequencies
-        if not (found.size and np.isfinite(found[0])):
-            raise ValueError(
-                "masses and stiffnesses must have a natural frequency at the medians of the priors, got "
-                "none. Check their units."
-            )
-        draws = {name: priors[name].draw for name in structure.names}
-        return prior_modes(structure, draws, expected, structure.modes)

@@ -3,19 +3,14 @@
 import json
 from collections.abc import Callable
 from concurrent.futures import Executor
-from pathlib import Path
 
 import xarray as xr
 
-from pymc_features.exceptions import ConfigError
-from pymc_features.records import Record
 from pymc_features.update.comparisons import candidates_of, compared, members_of, populations
-from pymc_features.update.configuration import read_config
-from pymc_features.update.kinds.model import kinds_of
 from pymc_features.update.kinds.shapes import geometry, mode_shapes
-from pymc_features.update.predictions import check_predictions, predictions
-from pymc_features.update.problem import Problem, model_of
-from pymc_features.update.sampling import RunSettings, run_parts
+from pymc_features.update.predictions import predictions
+from pymc_features.update.problem import Problem
+from pymc_features.update.sampling import Running, run_parts
 
 
 def run_update(
@@ -69,14 +64,14 @@ def run_update(
         If `out` holds another problem, or the tolerance of ABC is out of reach; everything else is kept.
     """
     candidates, members = candidates_of(problem), members_of(problem)  # whose errors come before any draw
-    settings = RunSettings(out, cores, executor, progress, progressbar)
-    parts, failed = run_parts(problem, settings)
+    running = Running(out, cores, executor, progress, progressbar)
+    parts, failed = run_parts(problem, running)
     reported = [kind for kind in problem.reported if kind in parts] or list(parts)
     title = problem.config.report.title.replace("/", "-")  # which would be a path in the tree
     result = xr.DataTree.from_dict({kind: parts[kind].copy() for kind in reported}, name=title)
     posteriors = {kind: parts[kind]["posterior"].to_dataset() for kind in reported}
-    groups = compared(problem, candidates, parts, settings)
-    groups |= populations(problem, members, parts, settings)
+    groups = compared(problem, candidates, parts, running)
+    groups |= populations(problem, members, parts, running)
     for data in problem.data:
         groups |= data.shared(problem)
     if problem.structure.has_modes:  # not kept in parts: other nodes are no other draws
@@ -89,41 +84,4 @@ def run_update(
         result[path] = xr.DataTree(group)
     result.attrs["failed"] = json.dumps(failed)
     result.attrs["units"] = json.dumps({name: problem.unit(name) for name in problem.priors})
-    return result
-
-
-def predict_stored(config_path: Path, file: Path) -> xr.DataTree:
-    """A stored result with the predictions that its configuration asks for now, in place of those before.
-
-    Nothing is sampled, and no measured channel is read. `file` is the `update.nc` of a finished update.
-    """
-    config, _ = read_config(config_path)
-    structure = model_of(config, config_path.parent)
-    check_predictions(config, structure)
-    if not config.predict:
-        raise ConfigError("`predict` must be given, got none: a table [[predict]] for each motion.")
-    if not file.is_file():
-        raise ConfigError(
-            f"`--out` must hold the result of an update, got no {file}. Run `pymc-features update` first."
-        )
-    with xr.open_datatree(file, engine="h5netcdf") as tree:
-        result = tree.load()
-    if "document" not in result.attrs:
-        raise ConfigError(
-            f"`--out` must hold the result of an update with its report, {file} has none. Run `pymc-features "
-            "update` again: finished likelihoods are kept."
-        )
-    posterior, measured = result[kinds_of(result)[0]]["posterior"].to_dataset(), None
-    if missing := sorted(set(structure.names) - set(posterior.data_vars)):
-        raise ConfigError(
-            f"`structure` must be that of the result, {file} has no draws of {', '.join(missing)}. Run "
-            "`pymc-features update` again."
-        )
-    if "ground_acceleration" in result.children.get("data", {}):
-        motion, about = result["data/ground_acceleration"], result["data"].attrs
-        dt = float(motion["record_time"][1] - motion["record_time"][0])
-        measured = Record(motion.values, dt, about["record"], interpolation=about["interpolation"])
-    result = result.drop_nodes("predict", errors="ignore")
-    for name, group in predictions(config, config_path.parent, structure, posterior, measured).items():
-        result[f"predict/{name}"] = xr.DataTree(group)
     return result

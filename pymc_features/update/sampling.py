@@ -27,10 +27,10 @@ from pymc_features.exceptions import (
 from pymc_features.inference.parameters import to_unconstrained
 from pymc_features.smc import Workers, open_workers, population_logp, sample_smc
 from pymc_features.storage import SUMMED, PartStore, held, moved_aside, settings_in
-from pymc_features.update.config.messages import with_keys
+from pymc_features.update.config.keys import with_keys
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds import KINDS
-from pymc_features.update.kinds.model import declare, draws_of_priors, frequencies, names_for
+from pymc_features.update.kinds.base import declare, draws_of_priors, frequencies, names_for
 from pymc_features.update.problem import Problem
 
 LOG = logging.getLogger("pymc_features")
@@ -41,27 +41,21 @@ N_DRAWS = 200  # of each chain, to judge it by
 MANY = 0.5  # share of lost chains above which the best may be lost, too
 
 
-class RunSettings(NamedTuple):
-    """How an update runs; nothing of it changes a draw. See `run_update`."""
-
-    out: Any = None
-    cores: int | None = None
-    executor: int | str | Executor | None = None
-    progress: Callable[[str, int, int], None] | None = None
-    progressbar: bool = True
-
-
 class Running(NamedTuple):
-    """How a likelihood is run: processes, where populations are evaluated, PyMC's bar, folder, messages."""
+    """How an update runs: folder, processes, where populations are evaluated, who is told, PyMC's bar.
 
-    cores: int | None = None
-    workers: Workers | None = None
-    progressbar: bool = False
+    Nothing of it changes a draw. See `run_update`; of one likelihood `executor` is what was opened, and
+    `progress` takes a sentence.
+    """
+
     out: Any = None
-    tell: Callable[[str], None] = str
+    cores: int | None = None
+    executor: int | str | Executor | Workers | None = None
+    progress: Callable | None = None
+    progressbar: bool = False
 
 
-def run_parts(problem: Problem, settings: RunSettings) -> tuple[dict[str, xr.DataTree], dict[str, str]]:
+def run_parts(problem: Problem, settings: Running) -> tuple[dict[str, xr.DataTree], dict[str, str]]:
     """Sample every likelihood that is not finished in the folder.
 
     Returned are likelihoods to what was sampled and predicted, and calibrated ones to the reason why they
@@ -85,7 +79,7 @@ def run_parts(problem: Problem, settings: RunSettings) -> tuple[dict[str, xr.Dat
             if part is None or any(part.attrs.get(name) != value for name, value in own.items()):
                 base = parts.get(KINDS[kind].calibrates)
                 of_part = partial(tell, done=done, total=len(kinds))
-                running = Running(settings.cores, workers, settings.progressbar, settings.out, of_part)
+                running = settings._replace(executor=workers, progress=of_part)
                 try:
                     part = run_part(problem, kind, own, base, running)
                 except UncalibratedError as error:
@@ -194,7 +188,7 @@ def calibrated(problem, kind, base, model, running: Running) -> xr.DataTree:
             draws=asked.draws,
             chains=asked.chains,
             cores=running.cores or asked.cores,
-            executor=running.workers,
+            executor=running.executor,
             random_seed=seed_of(problem, kind),
             progressbar=running.progressbar,
         )
@@ -222,7 +216,7 @@ def by_sampler(problem, kind, model, running: Running) -> xr.DataTree:
     asked, method = problem.config.sampler, method_of(problem, kind)
     cores = running.cores or asked.cores
     common = {"model": model, "random_seed": seed_of(problem, kind)}
-    settings = {"cores": cores, "executor": running.workers, "progressbar": running.progressbar}
+    settings = {"cores": cores, "executor": running.executor, "progressbar": running.progressbar}
     settings["chains"] = asked.chains
     try:
         if method == "Laplace":

@@ -7,10 +7,9 @@ import numpy as np
 from pymc_features.exceptions import ConfigError
 from pymc_features.inference.fisher import product_function
 from pymc_features.inference.parameters import initial_values
-from pymc_features.update.config.messages import named_key
+from pymc_features.update.config.keys import named_key
 from pymc_features.update.kinds import KINDS
-from pymc_features.update.kinds.base import QUANTILES
-from pymc_features.update.kinds.model import declare
+from pymc_features.update.kinds.base import QUANTILES, declare
 
 BLIND = 0.8  # share of a prior's standard deviation that remains: sensors hardly see the parameter
 SPREAD = 2000  # draws from which a prior's standard deviation is known to 2 %

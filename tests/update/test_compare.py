@@ -9,7 +9,7 @@ import pytest
 from pymc_features import CorrelatedNormal, ModalDamping, SpringMassChain, response
 from pymc_features.exceptions import ChannelWarning, ConfigError
 from pymc_features.update import read_problem, run_update, write_example
-from pymc_features.update.kinds.model import declare
+from pymc_features.update.kinds.base import declare
 from support.update_files import replaced
 
 KINDS = 'kinds = ["CAL", "NORM", "TN", "EXP", "ABC"]'

@@ -10,7 +10,7 @@ import pymc_features as pmf
 from pymc_features.cli import main
 from pymc_features.io.reading.labels import G
 from pymc_features.update import read_problem
-from pymc_features.update.kinds.model import declare
+from pymc_features.update.kinds.base import declare
 
 STEP, N = 0.005, 3000
 TIME = STEP * np.arange(N)

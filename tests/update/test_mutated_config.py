@@ -15,7 +15,7 @@ import pytest
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.update import read_problem, sampling, write_example
-from pymc_features.update.kinds.model import declare
+from pymc_features.update.kinds.base import declare
 from support.config_mutations import as_toml, mutated_config, pick
 from support.memory import peak
 

@@ -10,13 +10,11 @@ import pytest
 import xarray as xr
 
 from pymc_features import cli
-from pymc_features.modal import mac
 from pymc_features.update.report import payload as payload_module
 from pymc_features.update.report.page import page_of, write_page
 from pymc_features.update.report.payload import (
     density,
     extremes,
-    mac_of,
     packed,
     payload_of,
     rank_differences,
@@ -188,13 +186,6 @@ def test_ranks_of_chains_that_agree_stay_in_the_band():
             differences.append(abs(shares[0, middle]) > half)
         outside.append(np.mean(differences))
     assert outside[0] < 0.12 and outside[1] == 1.0  # 0.05 + 4 standard errors
-
-
-def test_mac_of_the_page_is_that_of_the_package():
-    rng = np.random.default_rng(4)
-    identified, draws = rng.standard_normal((3, 5)), rng.standard_normal((4, 6, 5))
-    for sample, found in zip(draws, mac_of(identified, draws), strict=True):
-        np.testing.assert_allclose(found, mac(identified, sample), rtol=1e-12)
 
 
 def test_the_budget_is_shared_by_all_likelihoods():

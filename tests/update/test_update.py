@@ -19,7 +19,7 @@ from pymc_features.exceptions import CalibrationWarning, ConfigError, DatasetUna
 from pymc_features.smc.workers import workers
 from pymc_features.smc.workers.workers import Spread
 from pymc_features.update import read_problem, run_update, sampling, write_example
-from pymc_features.update.kinds.model import declare
+from pymc_features.update.kinds.base import declare
 from pymc_features.update.kinds.responses import measured_gain
 from pymc_features.update.report.document import rows_of_result
 from pymc_features.update.sampling import Running
@@ -309,7 +309,7 @@ def test_data_that_tell_no_width_are_refused_by_the_key(example, monkeypatch):
     monkeypatch.setattr(sampling, "calibrate", refused)
     wanted = "`likelihood.kinds` must have CAL only where residuals can tell a width: the residuals of y must"
     with pytest.raises(ConfigError, match=wanted):
-        sampling.calibrated(read_problem(example), "CAL", None, None, Running(1))
+        sampling.calibrated(read_problem(example), "CAL", None, None, Running(cores=1))
 
 
 def test_gamma_takes_its_observations_as_they_are_given(example, tmp_path):

@@ -16,7 +16,7 @@ from pymc_features.exceptions import AmbientWarning, ConfigError
 from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.update import read_problem, run_update
 from pymc_features.update.kinds.ambient import fitted_spectra
-from pymc_features.update.kinds.model import declare
+from pymc_features.update.kinds.base import declare
 from support.browser import check_page, needs_browser
 from support.linear import as_linear
 from support.refusals import refusals

@@ -10,7 +10,7 @@ from pymc_features import cli, datasets, signals
 from pymc_features.exceptions import ChannelWarning, ConfigError
 from pymc_features.signals.channels import earlier
 from pymc_features.update import read_problem, run_update, sampling, write_example, write_outputs
-from pymc_features.update.kinds.model import declare
+from pymc_features.update.kinds.base import declare
 from pymc_features.update.report.document import document_of
 from pymc_features.update.report.terminal import summary
 from pymc_features.update.sampling import Running
@@ -324,7 +324,7 @@ def test_a_gap_in_the_shaking_table(data_dir, tmp_path):
         problem = read_problem(path)
         assert bool(problem.measured.left_out) == (name == "gap")
         model = declare(problem, "EXP")
-        found[name] = sampling.sample(problem, "EXP", model, Running(1))["posterior"].to_dataset()
+        found[name] = sampling.sample(problem, "EXP", model, Running(cores=1))["posterior"].to_dataset()
     scale = found["clean"].std()
     off = {name: abs(found[name].median() - found["clean"].median()) / scale for name in ("gap", "zeros")}
     names = ["k1", "k2", "k3", "zeta", "sigma"]

@@ -13,8 +13,8 @@ from pymc_features.ground_motion import synthetic_earthquake
 from pymc_features.simulators import simulate
 from pymc_features.update import read_problem, run_update
 from pymc_features.update.kinds import events
+from pymc_features.update.kinds.base import declare
 from pymc_features.update.kinds.events import by_numbers, event_rows
-from pymc_features.update.kinds.model import declare
 from pymc_features.update.sampling import seed_of
 
 pytestmark = pytest.mark.slow

@@ -12,8 +12,8 @@ import xarray as xr
 from pymc_features import ModalDamping, SpringMassChain, cli, simulate, synthetic_earthquake
 from pymc_features.exceptions import ConfigError
 from pymc_features.update import read_problem, run_update, sampling
+from pymc_features.update.kinds.base import declare
 from pymc_features.update.kinds.modal import ModeRow, modes_verdict
-from pymc_features.update.kinds.model import declare
 from support.report_pages import words
 
 MASS, DRAWN, TRUE = 1.6e5, np.array([3.4e8, 3.0e8, 2.5e8]), {"k1": 0.8, "k2": 1.0, "k3": 1.1}

@@ -131,7 +131,7 @@ def test_predict_reads_no_channel_and_samples_nothing(path, finished, monkeypatc
                 "`predicts` must be left out, it is no key. Did",
             ),
             (text.partition("[[predict]]")[0], [], "`predict` must be given, got none"),
-            (text, ["--out", str(older)], "must hold the result of an update with its report"),
+            (text, ["--out", str(older)], "must hold the words of its report"),
             (text, ["--out", "nowhere"], "`--out` must hold the result of an update"),
         ):
             path.write_text(changed)

@@ -15,7 +15,7 @@ from pymc_features.smc import PopulationLogp
 from pymc_features.update import read_problem
 from pymc_features.update.config import structures as structure_sections
 from pymc_features.update.config.structures import StructureOf
-from pymc_features.update.kinds.model import declare
+from pymc_features.update.kinds.base import declare
 from support.graphs import LIGHT
 from support.pages import PAGES, blocks
 from support.structures import noise_record, with_noise

@@ -12,7 +12,7 @@ from pydantic import PlainValidator
 from pytensor.graph.basic import Variable
 
 from pymc_features._checks import is_number
-from pymc_features.update.config.messages import shown
+from pymc_features.update.config.keys import shown
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pytensor.compile.mode import Mode
 
 from pymc_features._checks import is_number
 from pymc_features.exceptions import ConfigError
-from pymc_features.update.config.messages import shown
+from pymc_features.update.config.keys import shown
 
 #: Classes of `pymc.distributions.continuous` that stand for families of distributions.
 ABSTRACT = ("Continuous", "PositiveContinuous", "UnitContinuous", "CircularContinuous", "BoundedContinuous")

@@ -1,6 +1,6 @@
 """The sections of a configuration file: keys, types and what each must be.
 
-The description of a key completes the sentence "`key` must be ..." in messages, see `messages.py`.
+The description of a key completes the sentence "`key` must be ..." in messages, see `keys.py`.
 """
 
 from typing import Annotated, Any, Literal
@@ -11,7 +11,7 @@ from pymc_features._checks import is_number
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.records import INTERPOLATIONS, Interpolation
 from pymc_features.update.config.entries import Vector, priors_in
-from pymc_features.update.config.messages import shown
+from pymc_features.update.config.keys import shown
 
 ERRORS = {"sigma": "m/s^2", "correlation_time": "s", "m": "-"}  # parameters of the errors, with their units
 #: What sensors measure, by the quantity of the response that it is compared with.

@@ -28,7 +28,7 @@ from pymc_features.update.config.entries import (
     matrix,
     priors_in,
 )
-from pymc_features.update.config.messages import named_key
+from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import Section, parameters_of
 
 MOST_MODES = 10

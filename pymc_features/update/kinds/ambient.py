@@ -24,7 +24,7 @@ from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.storage import fingerprint
 from pymc_features.structures import Structure
 from pymc_features.update.config.entries import Vector, evaluated
-from pymc_features.update.config.messages import named_key, refuse
+from pymc_features.update.config.keys import named_key, refuse
 from pymc_features.update.config.sections import Section, key, window
 from pymc_features.update.kinds.base import (
     QUANTILES,
@@ -34,10 +34,10 @@ from pymc_features.update.kinds.base import (
     channels_table,
     check_positive,
     drawn_to,
+    thinned,
 )
 from pymc_features.update.kinds.channels import checked_dofs, read_whole
 from pymc_features.update.kinds.modal import Modal, ModalSection
-from pymc_features.update.kinds.model import thinned
 
 AMBIENT = Likelihood(
     "AMBIENT",
@@ -122,13 +122,11 @@ class Ambient(KindOfData):
 
     @classmethod
     def is_asked(cls, config):
-        """Whether the excitation is not measured."""
         is_program = config.external is not None
         return config.data is not None and config.data.excitation == "ambient" and not is_program
 
     @classmethod
     def check_sections(cls, config):
-        """Other sections say nothing that means nothing where the excitation was not measured."""
         if config.ambient is None:
             raise ConfigError(
                 '`ambient` must be given with `data.excitation = "ambient"`: a table with `force` and '
@@ -196,35 +194,28 @@ class Ambient(KindOfData):
 
     @property
     def used(self):
-        """How many channels, and for how long."""
         return f"{len(self.dofs)} channels of ambient vibration over {self.duration:.4g} s"
 
     @property
     def band(self):
-        """From the first to the last that is compared."""
         return float(self.bands.min()), float(self.bands.max())
 
     @property
     def placed(self):
-        """Take the places of [data]."""
         return dict(zip(self.config.data.sensors, self.dofs, strict=True))
 
     @property
     def is_checked(self):
-        """Whether modes were identified."""
         return self.modes is not None
 
     def prints(self):
-        """Return fingerprints of the channels and the bands."""
         arrays = {"channels": self.channels.values, "bands": self.bands}
         return {f"{k}_sha256": fingerprint(np.ascontiguousarray(v)) for k, v in arrays.items()}
 
     def parameters(self, likelihood):
-        """Densities of forces and errors."""
         return [value for *_, value in self.config.ambient.parameters()]
 
     def declare(self, problem, likelihood, structure, values, tolerance):
-        """Add the response to forces that nobody measured."""
         asked = self.config.ambient
         pm.modelcontext(None).add_coords({dim: self.channels[dim].values for dim in DIMS})
         force, error = (pt.as_tensor_variable(evaluated(v, values)) for v in (asked.force, asked.error))
@@ -261,7 +252,6 @@ class Ambient(KindOfData):
         return plots.singular_values(self.channels, self.bands, frequencies=identified, fitted=fitted)
 
     def told(self):
-        """Say where the channels come from, and which modes they have."""
         yield f"data: {self.source}, {self.duration:.4g} s at {self.step:.4g} s"
         if self.modes is not None:
             yield from self.modes.told()
@@ -275,7 +265,6 @@ class Ambient(KindOfData):
             yield from self.modes.check(problem, path.with_name(f"{path.stem}-modes{path.suffix}"))
 
     def tables(self, problem, result):
-        """The channels, the bands, and the modes."""
         bands = ", ".join(f"{low:.4g} to {high:.4g} Hz" for low, high in self.bands)
         how = ", proposed from the peaks of the spectra" if self.config.ambient.bands == "auto" else ""
         more = f". Nobody measured the forces. Compared are the frequencies {bands}{how}."
@@ -283,7 +272,6 @@ class Ambient(KindOfData):
         return found if self.modes is None else found + self.modes.tables(problem, result)
 
     def figures_of(self, problem, part, kind):
-        """The spectra, and the modes."""
         found = {"spectra": lambda: self.draw(part["spectra"].to_dataset())}
         return found if self.modes is None else found | self.modes.figures_of(problem, part, kind)
 

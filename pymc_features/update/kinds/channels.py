@@ -16,7 +16,7 @@ from pymc_features.io import read_channels, read_channels_with_gaps, read_record
 from pymc_features.io.reading.labels import SI
 from pymc_features.records import EVEN, CyclicTest, Record
 from pymc_features.signals.channels import check_window
-from pymc_features.update.config.messages import named_key, shown
+from pymc_features.update.config.keys import named_key, shown
 from pymc_features.update.config.sections import MEASURED
 from pymc_features.update.plausibility.findings import Compared, of_data
 from pymc_features.update.plausibility.prior_modes import PriorModes

@@ -1,6 +1,5 @@
 """Cyclic tests: the section [cyclic], displacement and force, and whether a specimen explains them."""
 
-import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,17 +9,15 @@ from pydantic import PlainValidator
 
 from pymc_features import plots
 from pymc_features._checks import is_number
-from pymc_features.exceptions import ConfigError, PredictionWarning
+from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_cyclic_test
 from pymc_features.io.reading.labels import FORCES, LENGTHS
-from pymc_features.prediction import posterior_response
-from pymc_features.update.config.messages import named_key, refuse, shown
+from pymc_features.update.config.keys import named_key, refuse, shown
 from pymc_features.update.config.sections import Section, key
 from pymc_features.update.config.structures import SPECIMENS
 from pymc_features.update.kinds.base import Setting, Verdict, drawn_to, table
 from pymc_features.update.kinds.channels import Measured
-from pymc_features.update.kinds.histories import DRAWS, Histories, check_likelihood
-from pymc_features.update.kinds.model import draws_of_priors
+from pymc_features.update.kinds.histories import Histories, check_likelihood
 
 LENGTH_OR_FORCE = f"two units, of displacement ({', '.join(LENGTHS)}) and of force ({', '.join(FORCES)})"
 UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation
@@ -63,7 +60,6 @@ class Cyclic(Histories):
 
     @classmethod
     def check_sections(cls, config):
-        """A specimen and a cyclic test belong together, and other sections say nothing besides."""
         if config.structure.type not in SPECIMENS:
             raise ConfigError(
                 f"`structure.type` must be {' or '.join(SPECIMENS)} with [cyclic], got "
@@ -73,8 +69,7 @@ class Cyclic(Histories):
         refuse(config, "data record processing events modal ambient", all_there_is)
         no_motion = "with [cyclic], got it. There is no motion."
         refuse(config, "report.natural_frequencies report.quantities", no_motion)
-        if config.likelihood is None:
-            raise ConfigError("`likelihood` must be given with [cyclic]: a table.")
+        super().check_sections(config)
 
     @classmethod
     def read(cls, given: Setting):
@@ -92,7 +87,6 @@ class Cyclic(Histories):
 
     @property
     def used(self):
-        """How many forces."""
         return f"{self.measured.record.n_times} measured forces of a cyclic test"
 
     def bands(self, problem, likelihood, model, idata, response):
@@ -101,22 +95,16 @@ class Cyclic(Histories):
         return found.assign_coords(displacement=("time", self.measured.record.displacement))
 
     def shared(self, problem):
-        """Displacement and force."""
         displacement = {"displacement": ("time", self.measured.record.displacement, {"units": "m"})}
         channels = self.channels.drop_attrs().assign_attrs(units="N")
         return {"data": xr.Dataset({"measured": channels}, displacement, {"source": self.measured.source})}
 
     def told(self):
-        """The files, and the test."""
         yield f"data: {self.measured.source}; {self.measured.record}"
 
     def check(self, problem, path):
         """Draw measured loops and what the priors expect of them; how much of it they hold."""
-        force, record, draws = self.channels, self.measured.record, {"draws": DRAWS}
-        expected = draws_of_priors(problem, problem.structure.names, DRAWS)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PredictionWarning)  # priors may reach beyond what a specimen is
-            found = posterior_response(expected, problem.structure, record, self.quantity, **draws)
+        force, found = self.channels, self.expected(problem)
         wrote = drawn_to(path, lambda: plots.loops(found, measured=force))
         low, *_, high = found[self.quantity].transpose("quantile", "sensor", "time").values
         share = float(np.mean((force.values >= low) & (force.values <= high)))
@@ -138,7 +126,6 @@ class Cyclic(Histories):
         return [*super().tables(problem, result), own]
 
     def figures_of(self, problem, part, kind):
-        """Force against displacement."""
         bands, force = part["bands"].to_dataset(), part["observed_data"]["y"]
         found = bands[["response"]].rename(response=self.quantity)
         return {"loops": lambda: plots.loops(found, measured=force)}

@@ -17,13 +17,11 @@ from pymc_features import plots
 from pymc_features._checks import listed
 from pymc_features.events.sequence import states_in_sequence
 from pymc_features.exceptions import ConfigError, StudyMismatchError
-from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.update.config.messages import shown
+from pymc_features.update.config.keys import shown
 from pymc_features.update.config.sections import Section, key
-from pymc_features.update.kinds.base import Setting, table
+from pymc_features.update.kinds.base import Setting, declare, kinds_of, table
 from pymc_features.update.kinds.channels import Measured, checked_dofs, read_measured
-from pymc_features.update.kinds.histories import check_likelihood, prints_of
-from pymc_features.update.kinds.model import declare, kinds_of
+from pymc_features.update.kinds.histories import WITH_EVIDENCE, check_likelihood, prints_of
 from pymc_features.update.kinds.responses import Responses
 
 FEWEST_DRAWS = 100  # to which a density is fitted
@@ -86,12 +84,10 @@ class Events(Responses):
 
     @classmethod
     def is_asked(cls, config):
-        """Several records, each with its excitation."""
         return config.events is not None
 
     @classmethod
     def check_sections(cls, config):
-        """Other sections say nothing that cannot be done event by event."""
         if config.data is None:
             raise ConfigError(
                 "`events` must be left out without [data], got it. Events are measured responses; several "
@@ -101,13 +97,11 @@ class Events(Responses):
             raise ConfigError(
                 "`events` must be left out with `data.dataset`, got both. Name the files of each event."
             )
-        if config.likelihood is None:
-            raise ConfigError("`likelihood` must be given with [events]: a table.")
-        taken = [kind for kind, one in LIKELIHOODS.items() if not (one.calibrates or one.is_likelihood_free)]
-        if refused := [kind for kind in config.likelihood.kinds if kind not in taken]:
+        super().check_sections(config)
+        if refused := [kind for kind in config.likelihood.kinds if kind not in WITH_EVIDENCE]:
             raise ConfigError(
                 f"`likelihood.kinds` must not have {refused[0]} with [events], for its posterior cannot be "
-                f"the prior of the next event. Take {', '.join(taken)}."
+                f"the prior of the next event. Take {', '.join(WITH_EVIDENCE)}."
             )
         asked = config.sampler
         if asked.method != "auto":
@@ -123,7 +117,6 @@ class Events(Responses):
                     f"`events.drift` must name priors of the file, got {shown(name)}. Known here: "
                     f"{', '.join(config.priors)}."
                 )
-        super().check_sections(config)
 
     @classmethod
     def read(cls, given: Setting):
@@ -149,12 +142,10 @@ class Events(Responses):
 
     @property
     def is_checked(self):
-        """Whether any event was."""
         return any(event.measured.is_checked for event in self.events)
 
     @property
     def used(self):
-        """How many histories of what, in which events."""
         durations = [f"{event.measured.record.duration:.4g}" for event in self.events]
         return f"{len(self.dofs)} measured {self.plural} in events of {listed(durations)} s"
 
@@ -178,7 +169,6 @@ class Events(Responses):
         return problem.with_data(self.alone(event), *others)
 
     def told(self):
-        """Say what was read of each event."""
         for event in self.events:
             for one in self.alone(event).told():
                 yield one if isinstance(one, dict) else f"{event.name}: {one}"
@@ -190,7 +180,6 @@ class Events(Responses):
             yield from self.alone(event).check(self.at(problem, event), at)
 
     def foretold(self, problem, measured=None):
-        """Count the observations of all events together."""
         return super().foretold(problem, [event.measured for event in self.events])
 
     def sample(self, problem, likelihood, model, seed, running):
@@ -205,7 +194,7 @@ class Events(Responses):
             chains=sampler.chains,
             random_seed=seed,
             cores=running.cores or sampler.cores,
-            executor=running.workers,
+            executor=running.executor,
             progressbar=running.progressbar,
             drift={name: value for name, value in asked.drift.items() if name in free},
             forgetting=asked.forgetting,
@@ -213,7 +202,7 @@ class Events(Responses):
         )
         try:
             for event in self.events:
-                running.tell(f"{likelihood}, {event.name}")
+                running.progress(f"{likelihood}, {event.name}")
                 idata = next(states)
         except StudyMismatchError:
             raise
@@ -250,13 +239,11 @@ class Events(Responses):
         yield from super().sentences(problem, result, explains)
 
     def tables(self, problem, result):
-        """Add the scores of each event under each likelihood."""
         rows = [(kind, *row) for kind in kinds_of(result) for row in event_rows(result[kind]["sequence"])]
         own = table("events", "events", "From event to event", COLUMNS, rows, MEANING)
         return [*super().tables(problem, result), own]
 
     def figures_of(self, problem, part, kind):
-        """Add the parameters from event to event to the figures of histories."""
         units = {name: problem.unit(name) for name in problem.priors}
 
         def draw():

@@ -16,12 +16,11 @@ from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.ops import ExternalResponse
 from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Parameter
-from pymc_features.update.config.messages import named_key, refuse
+from pymc_features.update.config.keys import named_key, refuse
 from pymc_features.update.config.sections import MEASURED, Section, key
-from pymc_features.update.kinds.base import Setting, Verdict, channels_table
+from pymc_features.update.kinds.base import Setting, Verdict, channels_table, thinned
 from pymc_features.update.kinds.channels import Measured, part_compared, read_whole
-from pymc_features.update.kinds.histories import Histories, check_likelihood
-from pymc_features.update.kinds.model import thinned
+from pymc_features.update.kinds.histories import WITH_EVIDENCE, Histories, check_likelihood
 from pymc_features.update.kinds.responses import (
     DENSE,
     ROUGH,
@@ -102,7 +101,6 @@ class External(Histories):
 
     @classmethod
     def is_asked(cls, config):
-        """Whether a program is named."""
         return config.external is not None
 
     @classmethod
@@ -111,8 +109,7 @@ class External(Histories):
         refuse(config, OF_STRUCTURES, "with [external], got it. The program decides.")
         if config.data is None or (config.data.files is None and config.data.dataset is None):
             raise ConfigError("`data` must be given with [external]: a table with the measured `files`.")
-        if config.likelihood is None:
-            raise ConfigError("`likelihood` must be given with [external]: a table.")
+        super().check_sections(config)
         as_it_is = "with [external], got it. What the program returns is compared as it is."
         refuse(config, OF_ONE_SIDE, as_it_is)
         is_emulated = config.external.emulate is not None
@@ -122,10 +119,7 @@ class External(Histories):
                 why = " and `emulate`" if is_emulated else ", for programs have no sensitivities"
                 raise ConfigError(
                     f"`likelihood.kinds` must not have {kind} with [external]{why}. Take "
-                    + ", ".join(
-                        n for n, e in LIKELIHOODS.items() if not (e.calibrates or e.is_likelihood_free)
-                    )
-                    + "."
+                    f"{', '.join(WITH_EVIDENCE)}."
                 )
         if is_emulated and config.sampler.method != "auto":
             raise ConfigError(
@@ -167,12 +161,10 @@ class External(Histories):
 
     @property
     def used(self):
-        """How many histories, and for how long."""
         duration = self.measured.step * self.simulator.shape[1]
         return f"{len(self.dofs)} measured histories over {duration:.4g} s"
 
     def prints(self):
-        """Return fingerprints of the histories and the program."""
         channels = fingerprint(np.ascontiguousarray(self.channels.values))
         return {"channels_sha256": channels, "program": self.simulator.identity}
 
@@ -209,12 +201,10 @@ class External(Histories):
         yield labels, lambda: [(0, np.moveaxis(values[known], 0, -1))]
 
     def shared(self, problem):
-        """The histories that were measured."""
         attrs = {"source": self.measured.source}
         return {"data": xr.Dataset({"measured": self.measured.with_units}, attrs=attrs)}
 
     def told(self):
-        """The files, and the program."""
         yield f"data: {self.measured.source}; {self.simulator.shape[1]} samples at {self.measured.step:.6g} s"
         yield f"program: {' '.join(self.simulator.function.command)}"
 
@@ -237,7 +227,6 @@ class External(Histories):
         )
 
     def tables(self, problem, result):
-        """Add the channels."""
         measured, nowhere = self.measured, ["" for _ in self.dofs]
         more = f". Responses are those of {SIMULATED} draws."
         shown = channels_table(self.config, measured.source, nowhere, measured.channels, measured.step, more)

@@ -1,6 +1,7 @@
 """Measured histories that responses of a model are compared with in time, under the section [likelihood]."""
 
 import json
+import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -12,7 +13,7 @@ import xarray as xr
 
 from pymc_features import plots
 from pymc_features.calibration.events import SHORT
-from pymc_features.exceptions import ConfigError
+from pymc_features.exceptions import ConfigError, PredictionWarning
 from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison, abc_tolerance
 from pymc_features.ops import response
 from pymc_features.ops.excitation import request_in_model
@@ -21,20 +22,24 @@ from pymc_features.prediction.draws import structure_draws
 from pymc_features.simulators.quantities import checked_request
 from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Parameter, evaluated
-from pymc_features.update.config.messages import named_key
+from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds.base import (
     QUANTILES,
     KindOfData,
     Setting,
     check_positive,
+    draws_of_priors,
+    kinds_of,
     table,
+    thinned,
 )
 from pymc_features.update.kinds.channels import Measured
-from pymc_features.update.kinds.model import kinds_of, thinned
 from pymc_features.update.templates.numbers import interval_texts
 
 DRAWS = 200
+#: Likelihoods whose posterior has an evidence, and may be the prior of another.
+WITH_EVIDENCE = [name for name, one in LIKELIHOODS.items() if not (one.calibrates or one.is_likelihood_free)]
 COMPONENTS, HELD = 6, 0.999  # at most so many, or as many as hold this share of the variance of responses
 ZOOM = 4.0  # [s] around the strongest motion
 ERROR_OF_FIT = ("likelihood", "sensor", "rms error / measured rms", "samples in the 90 % band")
@@ -50,9 +55,13 @@ class Histories(KindOfData):
 
     n_predicted: ClassVar[int] = DRAWS
 
+    @classmethod
+    def check_sections(cls, config):
+        if config.likelihood is None:
+            raise ConfigError(f"`likelihood` must be given with [{cls.key}]: a table.")
+
     @property
     def likelihoods(self):
-        """Take the likelihoods of the file."""
         return self.config.likelihood.kinds
 
     @property
@@ -66,11 +75,9 @@ class Histories(KindOfData):
         return self.measured.channels
 
     def parameters(self, likelihood):
-        """Return the parameters of the errors."""
         return [value for _, value in self.config.likelihood.parameters_of(likelihood)]
 
     def prints(self):
-        """Return fingerprints of the excitation and the histories."""
         return prints_of(self.measured)
 
     def foretold(self, problem, measured=None) -> list[str]:
@@ -98,17 +105,23 @@ class Histories(KindOfData):
         """What a response needs besides the structure and the motion."""
         return {"dt": self.measured.step, "sensors": self.dofs, "n_modes": problem.structure.n_modes}
 
-    def as_recorded(self, problem, structure):
-        """The request of a structure's response to the record as it is, and its outputs."""
-        return checked_request(structure, self.measured.record, self.quantity, **self.settings(problem))
-
     def request(self, problem):
         """The request of the model's response, with the refinement that its priors need, and its outputs."""
         with pm.Model():
             values = {name: problem.priors[name].declare(name) for name in problem.structure.names}
-            structure = problem.structure(**values)
-            asked, outputs = self.as_recorded(problem, structure)
-            return request_in_model(structure, self.measured.record, asked), outputs
+            structure, record = problem.structure(**values), self.measured.record
+            asked, outputs = checked_request(structure, record, self.quantity, **self.settings(problem))
+            return request_in_model(structure, record, asked), outputs
+
+    def expected(self, problem) -> xr.Dataset:
+        """Responses that the priors expect, as of `posterior_response`."""
+        draws = draws_of_priors(problem, problem.structure.names, DRAWS)
+        settings = self.settings(problem) | {"draws": DRAWS, "quantiles": QUANTILES}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PredictionWarning)  # priors may reach beyond what a structure is
+            return posterior_response(
+                draws, problem.structure, self.measured.record, self.quantity, **settings
+            )
 
     def response(self, problem, structure):
         """The response (sensor, time) of a structure to the excitation, in the model of the context."""
@@ -116,7 +129,6 @@ class Histories(KindOfData):
             return response(structure, self.measured.record, quantity=self.quantity, **self.settings(problem))
 
     def declare(self, problem, likelihood, structure, values, tolerance):
-        """Add the measured responses to the model of the context."""
         measured, asked = self.measured, self.config.likelihood
         observed = measured.channels
         pm.modelcontext(None).add_coords({dim: observed[dim].values for dim in DIMS})
@@ -253,7 +265,6 @@ class Histories(KindOfData):
         ]
 
     def figures_of(self, problem, part, kind):
-        """What was measured with the bands, all of it and its strongest part."""
         return {
             "response": lambda: plots.predictive(part),
             "response_zoom": lambda: plots.predictive(part, window=strongest(part)),

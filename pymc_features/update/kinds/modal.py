@@ -21,23 +21,21 @@ from pymc_features.modal.files import read_modal
 from pymc_features.modal.identified import identified
 from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Vector, evaluated
-from pymc_features.update.config.messages import named_key, refuse, shown
+from pymc_features.update.config.keys import named_key, refuse, shown
 from pymc_features.update.config.sections import Names, Section, key, parameters_of
 from pymc_features.update.kinds.base import (
+    MODAL_DRAWS,
     QUANTILES,
     KindOfData,
     Setting,
     Verdict,
     check_positive,
-    drawn_to,
-    table,
-)
-from pymc_features.update.kinds.model import (
-    MODAL_DRAWS,
     declare,
+    drawn_to,
     draws_of_priors,
     kinds_of,
     names_for,
+    table,
     thinned,
 )
 from pymc_features.update.kinds.shapes import Points, mode_shapes, points_of, read_nodes
@@ -173,7 +171,6 @@ class Modal(KindOfData):
 
     @classmethod
     def check_sections(cls, config):
-        """Refuse what is said of responses where modes are all there is, and a tolerance beside modes."""
         if config.data is None:
             refuse(
                 config, "record processing likelihood", "without [data], got it. Identified modes need none."
@@ -256,7 +253,6 @@ class Modal(KindOfData):
 
     @property
     def used(self):
-        """How many they are."""
         n = len(self.data)
         return f"{n} identified mode{'s' if n > 1 else ''}"
 
@@ -269,16 +265,13 @@ class Modal(KindOfData):
 
     @property
     def band(self):
-        """Up to some more than the highest of them."""
         return 0.0, BEYOND * self.data.frequencies.max()
 
     @property
     def placed(self):
-        """Take the places of the channels."""
         return dict(zip(self.data.channels or [], self.dofs, strict=True))
 
     def prints(self):
-        """Return fingerprints of frequencies and shapes."""
         data = self.data
         arrays = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
         return {
@@ -288,7 +281,6 @@ class Modal(KindOfData):
         }
 
     def parameters(self, likelihood):
-        """The errors of the model."""
         return self.asked.sigma_f, self.asked.sigma_phi
 
     def declare(self, problem, likelihood, structure, values, tolerance):
@@ -309,7 +301,6 @@ class Modal(KindOfData):
             ModalFeature("modal", found, observed=self.data, labels=labels, **scales)
 
     def predict(self, problem, likelihood, model, idata):
-        """Which mode of the model each is matched with."""
         return {"matched": self.matched(problem, idata["posterior"].to_dataset())}
 
     def matched(self, problem, posterior: xr.Dataset, **limits) -> xr.Dataset:
@@ -356,7 +347,6 @@ class Modal(KindOfData):
         return {"identified": xr.Dataset(found, coords, attrs)}
 
     def told(self):
-        """What they are, and where they come from."""
         yield f"modes: {self.sentence}"
 
     def check(self, problem, path):
@@ -409,7 +399,6 @@ class Modal(KindOfData):
         return self.nodes is not None or problem.structure.has_storeys
 
     def figures_of(self, problem, part, kind):
-        """The MAC matrix and the shapes."""
         if not self.dofs:
             return {}
         points = points_of(problem)
@@ -424,7 +413,6 @@ class Modal(KindOfData):
         return found
 
     def verdict(self, problem, result, kind):
-        """Whether each has a partner."""
         return modes_verdict(self.rows(result[f"{kind}/matched"]))
 
 

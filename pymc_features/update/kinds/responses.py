@@ -1,6 +1,5 @@
 """Measured responses to a measured motion of the base: [data], [record], [processing], [likelihood]."""
 
-import warnings
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -8,15 +7,12 @@ import numpy as np
 import xarray as xr
 
 from pymc_features import plots
-from pymc_features.exceptions import ConfigError, PredictionWarning
+from pymc_features.exceptions import ConfigError
 from pymc_features.plots.histories import draw_expected
-from pymc_features.prediction import posterior_response
-from pymc_features.simulators.excitation import refined_request, refinement
 from pymc_features.simulators.quantities import rows_of
 from pymc_features.simulators.simulate import respond
 from pymc_features.update.config.sections import MEASURED, Data
 from pymc_features.update.kinds.base import (
-    QUANTILES,
     Setting,
     Verdict,
     channels_table,
@@ -24,9 +20,8 @@ from pymc_features.update.kinds.base import (
     table,
 )
 from pymc_features.update.kinds.channels import Measured, checked_dofs, read_measured
-from pymc_features.update.kinds.histories import DRAWS, Histories, check_likelihood
+from pymc_features.update.kinds.histories import Histories, check_likelihood
 from pymc_features.update.plausibility.findings import mode_rows, scales
-from pymc_features.update.plausibility.transfer import prior_bands
 from pymc_features.update.templates.numbers import pretty
 
 GAINS = ("sensor", "gain [-]", "lag [ms]", "coherence [-]")
@@ -52,21 +47,18 @@ class Responses(Histories):
 
     @classmethod
     def is_asked(cls, config):
-        """One record, with its excitation."""
         if config.external is not None or config.events is not None:
             return False
         return config.data is not None and config.data.excitation == "measured"
 
     @classmethod
     def check_sections(cls, config):
-        """There are files, a likelihood, and one motion of the base."""
         if config.events is None and config.data.files is None and config.data.dataset is None:
             raise ConfigError(
                 "`data` must have one of the keys `files` and `dataset`, got neither. Or name several events "
                 "in [events]."
             )
-        if config.likelihood is None:
-            raise ConfigError("`likelihood` must be given with [data]: a table.")
+        super().check_sections(config)
         if config.data.base is None and config.record is None:
             raise ConfigError(
                 "`data.base` must name the sensor on the base, got none. Or give the ground motion in "
@@ -85,7 +77,6 @@ class Responses(Histories):
 
     @property
     def used(self):
-        """How many histories of what, and for how long."""
         return f"{len(self.dofs)} measured {self.plural} over {self.measured.record.duration:.4g} s"
 
     @property
@@ -95,14 +86,12 @@ class Responses(Histories):
 
     @property
     def measures(self):
-        """Absolute or relative motion, and its unit."""
         relative = {"relative": "relative to the base", "inter": "those of storeys"}
         how = relative.get(self.quantity.split("_")[0], "absolute")
         return f"{self.plural.capitalize()} are {how} and in {pretty(self.measured.units)}."
 
     @property
     def band(self):
-        """What the processing leaves [Hz]."""
         kept, nyquist = self.config.processing.band_pass, 0.5 / self.measured.step
         if kept is None:
             return 0.0, nyquist
@@ -110,12 +99,10 @@ class Responses(Histories):
 
     @property
     def placed(self):
-        """Take the places of [data]."""
         return dict(zip(self.config.data.sensors, self.dofs, strict=True))
 
     @property
     def is_checked(self):
-        """Whether floors follow the base somewhere, or a resonance was seen."""
         return self.measured.is_checked
 
     def bands(self, problem, likelihood, model, idata, response):
@@ -130,23 +117,15 @@ class Responses(Histories):
             ratios = change / (0.5 * np.sqrt(((high - low) ** 2).mean(axis=1)))
         return found.assign(coarseness=("sensor", ratios))
 
-    def refined(self, problem, values, frequencies=None) -> tuple[float, np.ndarray, np.ndarray]:
+    def refined(self, problem, values) -> tuple[float, np.ndarray, np.ndarray]:
         """What a refinement of the base by eight changes of the responses at some values of the priors.
 
-        A record that is taken as straight lines is compared with one that is band-limited. Where the
-        frequencies (draw, mode) of the priors are known, no model is built to refine the record as in it.
-        Returned are the highest natural frequency that the record excites over the sampling rate of the base
-        [-], and root mean squares of the difference and of the response (sensor,).
+        A record that is taken as straight lines is compared with one that is band-limited. Returned are the
+        highest natural frequency that the record excites over the sampling rate of the base [-], and root
+        mean squares of the difference and of the response (sensor,).
         """
         structure, record = problem.structure(**values), self.measured.record
-        if frequencies is None:
-            asked, outputs = self.request(problem)
-        else:
-            asked, outputs = self.as_recorded(problem, structure)
-            if record.interpolation == "linear":
-                asked = refined_request(structure, record, asked)
-            else:
-                asked = asked._replace(factor=refinement(frequencies, record.dt))
+        asked, outputs = self.request(problem)
         rows = rows_of(structure, asked.quantity, asked, outputs).picked
         used = respond(structure, record, asked, rows)[:, self.measured.window]
         smooth = replace(record, interpolation="band-limited")
@@ -157,7 +136,6 @@ class Responses(Histories):
         return float(shares[shares <= 1.0].max(initial=shares[0])), change, size
 
     def shared(self, problem):
-        """Motion of the base, measured responses and their gain."""
         measured = self.measured
         gain, peaks = measured_gain(measured)
         given = problem.config.report.natural_frequencies
@@ -180,7 +158,6 @@ class Responses(Histories):
         return {"data": xr.Dataset(columns, {"record_time": measured.record.time}, attrs)}
 
     def told(self):
-        """Say where the channels come from, and what the check found."""
         measured = self.measured
         yield f"data: {measured.source}; base: {measured.record}"
         yield f"channels: {measured.checked}"
@@ -194,31 +171,18 @@ class Responses(Histories):
         measured, priors = self.measured, problem.priors
         units = {name: problem.unit(name) for name in priors}
         densities = {name: one.density for name, one in priors.items()}
-        bands = self.expected_bands(problem)
+        expected = self.expected(problem)[self.quantity].transpose("quantile", ..., "time")
+        bands = expected.values[..., measured.window]
         wrote = drawn_to(path, lambda: draw_expected(measured.with_base, bands, densities, units))
         if measured.gains is not None:
             yield gains_table(measured.gains)
         middle = {name: priors[name].median for name in problem.structure.names}
-        share, change, size = self.refined(problem, middle, measured.compared.prior.frequencies)
+        share, change, size = self.refined(problem, middle)
         yield (
             f"The base is sampled {1.0 / share:.3g} times in a period of the highest mode used; "
             f"refining it {FINEST} times changes responses by {100.0 * max(change / size):.2g} %."
         )
         yield wrote
-
-    def expected_bands(self, problem) -> np.ndarray:
-        """Quantiles (quantile, sensor, time) of the responses that the priors expect at the sensors."""
-        measured, prior = self.measured, self.measured.compared.prior
-        record, window = measured.record, measured.window
-        if prior.is_linear:
-            found = prior_bands(record.acceleration, record.dt, prior, self.dofs, self.quantity)
-            return found[..., :: round(measured.step / record.dt)][..., window]
-        draws = xr.Dataset({n: (("chain", "draw"), values[None]) for n, values in prior.values.items()})
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PredictionWarning)
-            settings = {"sensors": self.dofs, "dt": measured.step, "draws": DRAWS, "quantiles": QUANTILES}
-            found = posterior_response(draws, problem.structure, record, self.quantity, **settings)
-        return found[self.quantity].transpose("quantile", ..., "time").values[..., window]
 
     def tables(self, problem, result):
         """Add the channels, and how they compare with the base."""
@@ -238,7 +202,6 @@ class Responses(Histories):
         return [*super().tables(problem, result), *shown]
 
     def figures(self, problem, result):
-        """The motion of the base, and the gain of the sensors against it."""
         return {
             "record": lambda: plots.record(result),
             "frequencies": lambda: plots.natural_frequencies(result),

@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.exceptions import ConfigError
-from pymc_features.update.config.messages import shown
-from pymc_features.update.kinds.model import modes_of_draws, thinned
+from pymc_features.update.config.keys import shown
+from pymc_features.update.kinds.base import modes_of_draws, thinned
 
 AXES = ("x", "y", "z")
 COLUMNS = ("dof", "name", *AXES, "direction", "line")

@@ -65,21 +65,19 @@ def prior_modes(
     n = DRAWS if at_medians.n_dof <= LARGE else DRAWS_OF_LARGE
     columns = {name: draw(n, k) for k, (name, draw) in enumerate(draws.items())}
     found, kept = [], []
-    for k in range(n if columns else 1):
-        try:
-            one = modes_of(structure(**{name: float(column[k]) for name, column in columns.items()}))
-        except (ValueError, ArithmeticError, np.linalg.LinAlgError):
-            continue
-        if np.isfinite(one.natural_frequencies).all() and one.natural_frequencies.size:
-            found.append(one)
-            kept.append(k)
-    if not found:
-        raise ValueError(
-            "masses and stiffnesses must have a natural frequency at draws of the priors, got none. Check "
-            "their units."
-        )
+    with np.errstate(all="ignore"):  # the inverse of a tiny mass is no number
+        of_medians = modes_of(at_medians)
+        check_modes(is_structure(of_medians), "the medians")
+        for k in range(n if columns else 1):
+            try:
+                one = modes_of(structure(**{name: float(column[k]) for name, column in columns.items()}))
+            except (ValueError, ArithmeticError, np.linalg.LinAlgError):
+                continue
+            if is_structure(one):
+                found.append(one)
+                kept.append(k)
+    check_modes(found, "draws")
     n_modes = min(one.natural_frequencies.size for one in found)
-    of_medians = modes_of(at_medians)
     shares = shares_of(of_medians)
     with np.errstate(divide="ignore"):
         deflection = np.abs((shares / of_medians.angular_frequencies**2).sum(axis=-1)).max() * GRAVITY
@@ -92,6 +90,20 @@ def prior_modes(
         float(deflection),
         at_medians.is_linear,
     )
+
+
+def is_structure(modes) -> bool:
+    """Whether there are modes, and all of them have a frequency."""
+    return bool(modes.natural_frequencies.size and np.isfinite(modes.natural_frequencies).all())
+
+
+def check_modes(found, where: str) -> None:
+    """Refuse priors without any modes."""
+    if not found:
+        raise ValueError(
+            f"masses and stiffnesses must have a natural frequency at {where} of the priors, got none. Check "
+            "their units."
+        )
 
 
 def shares_of(modes) -> np.ndarray:

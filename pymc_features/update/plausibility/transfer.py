@@ -26,10 +26,6 @@ LEVEL = 0.15  # half the width, in the logarithm of frequency, over which levels
 QUIET = 0.01  # of the highest level: what is lower counts less, for it may be noise
 SWAPPED = 0.5  # of what the sensors leave unexplained where they are said to be
 EXPLAINED = 0.6  # share of the mean square of a sensor whose sign can be told
-QUANTILES = (0.05, 0.5, 0.95)
-VALUES, FEWEST, MOST = 4e6, 20, 100  # numbers in memory; draws of which there are bands
-SILENT = 4.0  # time constants after which nothing rings
-LONGEST = 8  # lengths of the record
 
 
 class Scale(NamedTuple):
@@ -194,22 +190,3 @@ def told_by_modes(gains, placed: Placement | None) -> str:
         f"{what} may be inverted: the modes that the priors expect explain {share:.0f} % of the sensors' "
         "motion with the opposite sign."
     )
-
-
-def prior_bands(base, dt: float, prior, dofs, quantity) -> np.ndarray:
-    """Quantiles 5, 50 and 95 % (quantile, sensor, time) of responses of a structure that is at rest first.
-
-    Of linear structures, by the transforms of a motion (time,) [m/s^2] and of draws of the modes, each with a
-    damping ratio of its own; above half the sampling rate there is nothing.
-    """
-    n = len(base)
-    decay = np.quantile(prior.ratios * prior.frequencies, 0.05) * 2.0 * np.pi
-    prior = prior.few(int(np.clip(VALUES / (n * len(dofs)), FEWEST, MOST)))
-    ringing = SILENT / (max(decay, 1e-12) * dt)
-    size = 1 << int(np.ceil(np.log2(n + min(ringing, (LONGEST - 1) * n))))
-    spectrum, f = np.fft.rfft(base, size), np.fft.rfftfreq(size, dt)
-    bands = np.empty((len(QUANTILES), len(dofs), n))
-    for s, dof in enumerate(dofs):
-        [h] = transfer(f, prior, [dof], quantity)
-        bands[:, s] = np.quantile(np.fft.irfft(h * spectrum, size)[:, :n], QUANTILES, axis=0)
-    return bands

@@ -5,13 +5,18 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import xarray as xr
+
 from pymc_features import plots
+from pymc_features.exceptions import ConfigError
+from pymc_features.records import Record
 from pymc_features.storage import netcdf_bytes, write_atomically
-from pymc_features.update.kinds.base import png
-from pymc_features.update.kinds.model import kinds_of
-from pymc_features.update.problem import Problem
+from pymc_features.update.configuration import read_config
+from pymc_features.update.kinds.base import kinds_of, png
+from pymc_features.update.predictions import check_predictions, predictions
+from pymc_features.update.problem import Problem, model_of
 from pymc_features.update.report.document import document_of
-from pymc_features.update.report.page import page_of
+from pymc_features.update.report.page import page_of, read_result
 from pymc_features.update.templates.numbers import as_csv, as_latex, rows_of
 
 
@@ -69,3 +74,34 @@ def figures(problem: Problem, result) -> dict[str, Callable]:
             own["traces"] = partial(plots.chains, part, "trace")
         found |= {f"{kind}_{name}": draw for name, draw in own.items()}
     return found
+
+
+def predict_stored(config_path: Path, file: Path) -> xr.DataTree:
+    """A stored result with the predictions that its configuration asks for now, in place of those before.
+
+    Nothing is sampled, and no measured channel is read. `file` is the `update.nc` of a finished update.
+    """
+    config, _ = read_config(config_path)
+    structure = model_of(config, config_path.parent)
+    check_predictions(config, structure)
+    if not config.predict:
+        raise ConfigError("`predict` must be given, got none: a table [[predict]] for each motion.")
+    if not file.is_file():
+        raise ConfigError(
+            f"`--out` must hold the result of an update, got no {file}. Run `pymc-features update` first."
+        )
+    result = read_result(file, "--out")
+    posterior, measured = result[kinds_of(result)[0]]["posterior"].to_dataset(), None
+    if missing := sorted(set(structure.names) - set(posterior.data_vars)):
+        raise ConfigError(
+            f"`structure` must be that of the result, {file} has no draws of {', '.join(missing)}. Run "
+            "`pymc-features update` again."
+        )
+    if "ground_acceleration" in result.children.get("data", {}):
+        motion, about = result["data/ground_acceleration"], result["data"].attrs
+        dt = float(motion["record_time"][1] - motion["record_time"][0])
+        measured = Record(motion.values, dt, about["record"], interpolation=about["interpolation"])
+    result = result.drop_nodes("predict", errors="ignore")
+    for name, group in predictions(config, config_path.parent, structure, posterior, measured).items():
+        result[f"predict/{name}"] = xr.DataTree(group)
+    return result

@@ -47,19 +47,25 @@ def write_page(source, out=None) -> Path:
     source = Path(source)
     if not source.is_file():
         raise ValueError(f"`RESULT` must be an existing file, got {source}. Name the update.nc of an update.")
-    try:
-        with xr.open_datatree(source, engine="h5netcdf") as tree:
-            result = tree.load()
-    except (OSError, ValueError) as error:
-        raise ValueError(f"`RESULT` must be the update.nc of an update, got {source}: {error}") from error
-    if "document" not in result.attrs:
-        raise ValueError(
-            f"`RESULT` must hold the words of its report, {source} has none. Run `pymc-features update` "
-            "again: finished likelihoods are kept."
-        )
+    result = read_result(source, "RESULT")
     out = Path(out or source.with_name("report.html"))
     write_atomically(out, lambda path: path.write_text(page_of(result), encoding="utf-8"))
     return out
+
+
+def read_result(path: Path, argument: str) -> xr.DataTree:
+    """A saved result with the words of its report; messages call its path by the argument of a command."""
+    try:
+        with xr.open_datatree(path, engine="h5netcdf") as tree:
+            result = tree.load()
+    except (OSError, ValueError) as error:
+        raise ValueError(f"`{argument}` must be the update.nc of an update, got {path}: {error}") from error
+    if "document" not in result.attrs:
+        raise ValueError(
+            f"`{argument}` must hold the words of its report, {path} has none. Run `pymc-features update` "
+            "again: finished likelihoods are kept."
+        )
+    return result
 
 
 def page_of(result) -> str:

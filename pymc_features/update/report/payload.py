@@ -10,6 +10,7 @@ import json
 import numpy as np
 import xarray as xr
 
+from pymc_features.modal.data import mac
 from pymc_features.update.templates.numbers import interval_texts, predicted_quantities, rows_of, scale_of
 
 BUDGET = 950_000  # characters of all responses and their spectra
@@ -182,6 +183,7 @@ def modes_of(part, result, n_kinds):
     identified, matched = result["identified"].to_dataset(), part["matched"].to_dataset()
     points = json.loads(result["geometry"].attrs["channels"])
     at_channels = shapes[:, : identified.attrs["n_modes"]][..., points]
+    agreement = [mac(identified["shape"].values, one) for one in at_channels]
     return found | {
         "identified": {
             "names": matched["label"].values.astype(str).tolist(),
@@ -189,18 +191,9 @@ def modes_of(part, result, n_kinds):
             "frequencies": rounded(identified["frequency"].values, 5),
             "shapes": rounded(identified["shape"].values.real, 4),
             "points": points,
-            "mac": rounded(np.median(mac_of(identified["shape"].values, at_channels), axis=0), 4),
+            "mac": rounded(np.median(agreement, axis=0), 4),
         }
     }
-
-
-def mac_of(identified, draws) -> np.ndarray:
-    """|a'b|^2 / (a'a b'b) (sample, identified, mode), over the entries that were measured."""
-    known = ~np.isnan(identified)
-    shapes = np.where(known, identified, 0.0)
-    product = np.abs(np.einsum("ic,smc->sim", shapes.conj(), draws)) ** 2
-    squares = np.einsum("ic,smc->sim", known.astype(float), draws**2)
-    return product / (np.abs(shapes) ** 2).sum(axis=1)[:, None] / np.maximum(squares, 1e-300)
 
 
 def fitted_values(part):
