@@ -120,7 +120,7 @@ def populations(problem: Problem, members, parts, settings: Running) -> dict[str
     if not members:
         return {}
     found = {GIVEN: parts} | parts_of(members, "hierarchical", settings)
-    everyone, groups, sampler = {GIVEN: problem} | members, {}, problem.config.sampler
+    everyone, groups = {GIVEN: problem} | members, {}
     for kind in [kind for kind in parts if not KINDS[kind].is_likelihood_free]:
         with named_key("hierarchical"), warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -128,11 +128,8 @@ def populations(problem: Problem, members, parts, settings: Running) -> dict[str
                 [of_member[kind] for of_member in found.values()],
                 hyper_model(problem),
                 models=[declare(member, kind) for member in everyone.values()],
-                draws=sampler.draws,
-                chains=sampler.chains,
-                cores=settings.cores or sampler.cores,
                 random_seed=seed_of(problem, kind),
-                progressbar=settings.progressbar,
+                **settings._replace(executor=None).of_sampler(problem.config.sampler),
             )
         ours = [str(w.message) for w in caught if w.category.__module__.startswith("pymc_features")]
         of_members, at = result["events"].to_dataset(), f"hierarchical/{kind}"

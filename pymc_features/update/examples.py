@@ -24,10 +24,8 @@ DRAWN = [9e8] * 3 + [7e8] * 3 + [5e8] * 2  # stiffness of the drawings [N/m]
 STOREYS = {"lower": 3, "middle": 3, "upper": 2}  # that share a factor, from the base up
 TRUE = {"lower": 0.8, "middle": 0.95, "upper": 1.1, "zeta": 0.03}
 SENSORS = {"floor3": 2, "floor6": 5, "roof": 7}  # degrees of freedom
-BASE_NOISE, FLOOR_NOISE = (
-    0.01,
-    0.05,
-)  # m/s^2; over the standard deviation of a floor, an error of the model in its place
+# m/s^2, and over the standard deviation of a floor, an error of the model in its place
+BASE_NOISE, FLOOR_NOISE = 0.01, 0.05
 
 
 def simulated(template, values, file, chain, record, sensors, random_seed, why):

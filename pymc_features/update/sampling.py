@@ -54,6 +54,11 @@ class Running(NamedTuple):
     progress: Callable | None = None
     progressbar: bool = False
 
+    def of_sampler(self, asked) -> dict:
+        """Arguments that samplers share, with the section [sampler]."""
+        sizes = {"draws": asked.draws, "chains": asked.chains, "cores": self.cores or asked.cores}
+        return sizes | {"executor": self.executor, "progressbar": self.progressbar}
+
 
 def run_parts(problem: Problem, settings: Running) -> tuple[dict[str, xr.DataTree], dict[str, str]]:
     """Sample every likelihood that is not finished in the folder.
@@ -180,18 +185,9 @@ def method_of(problem, kind) -> str:
 
 def calibrated(problem, kind, base, model, running: Running) -> xr.DataTree:
     """The posterior whose width the residuals decide, from the part of another likelihood."""
-    asked = problem.config.sampler
+    settings = running.of_sampler(problem.config.sampler)
     try:
-        idata = calibrate(
-            base,
-            model=model,
-            draws=asked.draws,
-            chains=asked.chains,
-            cores=running.cores or asked.cores,
-            executor=running.executor,
-            random_seed=seed_of(problem, kind),
-            progressbar=running.progressbar,
-        )
+        idata = calibrate(base, model=model, random_seed=seed_of(problem, kind), **settings)
     except ValueError as error:
         raise UncalibratedError(
             f"`likelihood.kinds` must have {kind} only where residuals can tell a width: {error}"
@@ -203,38 +199,21 @@ def calibrated(problem, kind, base, model, running: Running) -> xr.DataTree:
 
 def sample(problem, kind, model, running: Running) -> xr.DataTree:
     """The posterior by the sampler of the configuration, without chains that were lost."""
-    asked, sizes = problem.config.sampler, None
-    idata = by_sampler(problem, kind, model, running)
-    sizes, chains = idata["posterior"].sizes, 1 if method_of(problem, kind) == "Laplace" else asked.chains
-    if sizes["draw"] < asked.draws or sizes["chain"] < chains:
-        raise KeyboardInterrupt  # PyMC's NUTS returns what it has when it is stopped
-    return idata if KINDS[kind].is_likelihood_free else without_lost_chains(idata, model)
-
-
-def by_sampler(problem, kind, model, running: Running) -> xr.DataTree:
-    """The posterior by the sampler of the configuration, as it comes."""
     asked, method = problem.config.sampler, method_of(problem, kind)
-    cores = running.cores or asked.cores
-    common = {"model": model, "random_seed": seed_of(problem, kind)}
-    settings = {"cores": cores, "executor": running.executor, "progressbar": running.progressbar}
-    settings["chains"] = asked.chains
+    settings, given = running.of_sampler(asked), {"model": model, "random_seed": seed_of(problem, kind)}
     try:
         if method == "Laplace":
-            return inference.laplace(asked.draws, **common)
-        if method == "NUTS":
-            return inference.sample_nuts(
-                asked.draws,
-                tune=asked.tune,
-                chains=asked.chains,
-                sample_settings={**settings, "draws": max(500, asked.draws // 2)},
-                progressbar=running.progressbar,
-                **({} if cores is None else {"cores": cores}),
-                **common,
-            )
-        if method == "sample":
-            return inference.sample(asked.draws, **settings, **common)
-        settings["compute_convergence_checks"] = False
-        return sample_smc(asked.draws, getattr(smc, method), **settings, **common)
+            idata, settings["chains"] = inference.laplace(asked.draws, **given), 1
+        elif method == "NUTS":
+            given |= {name: settings[name] for name in ("chains", "progressbar")}
+            given |= {"cores": settings["cores"]} if settings["cores"] else {}
+            before = settings | {"draws": max(500, asked.draws // 2)}
+            idata = inference.sample_nuts(asked.draws, tune=asked.tune, sample_settings=before, **given)
+        elif method == "sample":
+            idata = inference.sample(**settings, **given)
+        else:
+            kernel = getattr(smc, method)
+            idata = sample_smc(kernel=kernel, compute_convergence_checks=False, **settings, **given)
     except ToleranceNotReachedError as error:
         raise ConfigError(
             f"`likelihood.epsilon` must be within reach of the model: {error} Or leave ABC out of "
@@ -243,6 +222,10 @@ def by_sampler(problem, kind, model, running: Running) -> xr.DataTree:
     except (ParallelSamplingError, pm.exceptions.SamplingError, ValueError) as error:
         reason = error.__cause__ if isinstance(error, ParallelSamplingError) else error
         raise ConfigError(f"`priors` must lead to a posterior that {method} can sample: {reason}") from error
+    sizes = idata["posterior"].sizes
+    if sizes["draw"] < asked.draws or sizes["chain"] < settings["chains"]:
+        raise KeyboardInterrupt  # PyMC's NUTS returns what it has when it is stopped
+    return idata if KINDS[kind].is_likelihood_free else without_lost_chains(idata, model)
 
 
 def without_lost_chains(idata: xr.DataTree, model) -> xr.DataTree:

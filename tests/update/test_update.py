@@ -403,7 +403,7 @@ def test_another_tolerance_samples_abc_alone(finished, example, tmp_path, capsys
 def test_what_a_stopped_sampler_returns_is_not_kept(finished, example, tmp_path, monkeypatch):
     with xr.open_datatree(finished / "parts" / "EXP.nc", engine="h5netcdf") as tree:
         few = tree.load().isel(draw=slice(60), missing_dims="ignore")
-    monkeypatch.setattr(sampling, "by_sampler", lambda *_: few)
+    monkeypatch.setattr(sampling.inference, "sample", lambda **_: few)
     with pytest.raises(KeyboardInterrupt):
         run_update(read_problem(example), out=tmp_path, cores=1, progressbar=False)
     assert not list((tmp_path / "parts").iterdir())

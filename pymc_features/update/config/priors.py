@@ -83,7 +83,7 @@ class Prior:
         }
 
     def _try(self):
-        """Refuse what PyMC refuses, at its construction, in its density or in its draws."""
+        """Refuse what PyMC refuses, a constant, and what is no density."""
         got = f"got {self!r}"
         try:
             variable = DISTRIBUTIONS[self.name].dist(**self._given())
@@ -91,7 +91,7 @@ class Prior:
                 raise ConfigError(f"`{self.key}` must be a scalar, {got}. Give each entry its own prior.")
             pm.logp(variable, 0.5).eval(mode=_PLAIN)
             draws = self.draw(8, 0)
-            self._check(draws, pm.logp(variable, draws).eval(mode=_PLAIN), got)
+            densities = pm.logp(variable, draws).eval(mode=_PLAIN)
         except ConfigError:
             raise
         except NotImplementedError:
@@ -105,9 +105,6 @@ class Prior:
             raise ConfigError(
                 f"`{self.key}` must have admissible arguments of {self.name}, {got}: {reason}."
             ) from error
-
-    def _check(self, draws, densities, got):
-        """Refuse a constant, and what is no density."""
         if not np.isfinite(draws).all() or np.ptp(draws) == 0.0:
             raise ConfigError(f"`{self.key}` must spread over finite values, {got}. Fix it as a number.")
         if not np.isfinite(densities).all() or np.min(self.arguments.get("pdf_points", 0.0)) < 0.0:

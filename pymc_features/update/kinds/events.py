@@ -184,21 +184,17 @@ class Events(Responses):
 
     def sample(self, problem, likelihood, model, seed, running):
         """The posterior after the last event; that after each one is kept in a folder for each likelihood."""
-        asked, sampler = self.config.events, self.config.sampler
+        asked = self.config.events
         models = [declare(self.at(problem, event), likelihood) for event in self.events]
         free = {rv.name for rv in models[0].free_RVs}
         states = states_in_sequence(
             models,
             out=None if running.out is None else Path(running.out) / FOLDER / likelihood,
-            draws=sampler.draws,
-            chains=sampler.chains,
             random_seed=seed,
-            cores=running.cores or sampler.cores,
-            executor=running.executor,
-            progressbar=running.progressbar,
             drift={name: value for name, value in asked.drift.items() if name in free},
             forgetting=asked.forgetting,
             change=asked.change,
+            **running.of_sampler(self.config.sampler),
         )
         try:
             for event in self.events:
