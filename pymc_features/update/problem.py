@@ -16,11 +16,11 @@ from pymc_features.update.config.priors import Prior
 from pymc_features.update.config.structures import StructureOf, modes_of
 from pymc_features.update.configuration import Config, read_config
 from pymc_features.update.kinds import KINDS, KINDS_OF_DATA
-from pymc_features.update.kinds.base import KindOfData, Setting, Verdict
+from pymc_features.update.kinds.base import KindOfData, Verdict
 from pymc_features.update.kinds.external import ProgramOf
 from pymc_features.update.kinds.modal import Modal
 from pymc_features.update.plausibility.findings import of_priors
-from pymc_features.update.plausibility.prior_modes import moved_mass, prior_modes
+from pymc_features.update.plausibility.prior_modes import PriorModes, moved_mass, prior_modes
 from pymc_features.update.predictions import check_predictions
 
 FIRST = 5  # natural frequencies in a sentence
@@ -53,7 +53,13 @@ class Problem:
     structure: StructureOf | ProgramOf  # values of the priors to a structure
     expected: Structure | Any  # that at the medians of the priors
     priors: dict[str, Prior]  # names to `Prior`, in the order of the file
-    data: tuple[KindOfData, ...]  # what was measured; the first decides what is sampled
+    prior: PriorModes | None  # natural modes of draws of the priors; None without modes
+    data: tuple[KindOfData, ...] = ()  # what was measured; the first decides what is sampled
+
+    @property
+    def folder(self) -> Path:
+        """Files are relative to it."""
+        return self.path.parent
 
     @property
     def first(self) -> KindOfData:
@@ -112,7 +118,7 @@ class Problem:
         for data in self.data:
             kept |= data.prints()
         for file in self.structure.files:
-            kept[f"{file}_sha256"] = hashlib.sha256((self.path.parent / file).read_bytes()).hexdigest()
+            kept[f"{file}_sha256"] = hashlib.sha256((self.folder / file).read_bytes()).hexdigest()
         return json.loads(json.dumps(kept, default=str))
 
     @property
@@ -186,8 +192,8 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
     if prior is not None:
         for sentence in of_priors(prior, {name: uses[0][1] for name, uses in config.uses().items()}):
             warnings.warn(sentence, PriorWarning, stacklevel=2)
-    given = Setting(config, path.parent, priors, expected, prior)
-    data = tuple(kind.read(given) for kind in KINDS_OF_DATA if kind.is_asked(config))
+    problem = Problem(path, text, config, raw, structure, expected, priors, prior)
+    problem = problem.with_data(*(kind.read(problem) for kind in KINDS_OF_DATA if kind.is_asked(config)))
     frequencies = config.report.natural_frequencies
     if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
         raise ConfigError(
@@ -200,4 +206,4 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
             f"{config.structure.type}. Use relative_displacement."
         )
     check_predictions(config, structure)
-    return Problem(path, text, config, raw, structure, expected, priors, data)
+    return problem

@@ -78,7 +78,7 @@ def run_update(
         groups["geometry"] = geometry(problem)
         groups |= {f"{kind}/mode_shapes": mode_shapes(problem, one) for kind, one in posteriors.items()}
     motion = None if problem.measured is None else problem.measured.record
-    settings = problem.config, problem.path.parent, problem.structure, posteriors[reported[0]], motion
+    settings = problem.config, problem.folder, problem.structure, posteriors[reported[0]], motion
     groups |= {f"predict/{name}": group for name, group in predictions(*settings).items()}
     for path, group in groups.items():
         result[path] = xr.DataTree(group)

@@ -29,7 +29,6 @@ from pymc_features.update.config.sections import Section, key, window
 from pymc_features.update.kinds.base import (
     QUANTILES,
     KindOfData,
-    Setting,
     Verdict,
     channels_table,
     check_positive,
@@ -136,14 +135,14 @@ class Ambient(KindOfData):
             refuse(config, keys, f'with `data.excitation = "ambient"`, got it. {advice}')
 
     @classmethod
-    def read(cls, given: Setting):
+    def read(cls, problem):
         """Read, correct and process the channels, and find bands if it is asked for."""
-        config, asked = given.config, given.config.ambient
-        dofs = checked_dofs(config, given.expected.n_dof)
+        config, asked = problem.config, problem.config.ambient
+        dofs = checked_dofs(config, problem.expected.n_dof)
         n_bands = None if asked.bands == "auto" else len(asked.bands)
         for name in ("force", "error"):
-            check_positive(f"ambient.{name}", getattr(asked, name), given.priors, n_bands, "bands")
-        channels, step, source = read_whole(config, given.folder)
+            check_positive(f"ambient.{name}", getattr(asked, name), problem.priors, n_bands, "bands")
+        channels, step, source = read_whole(config, problem.folder)
         with named_key("ambient.bands"):
             bands = propose_bands(channels) if asked.bands == "auto" else asked.bands
             bands = checked_bands(bands, channels.sizes["time"], step, 0).limits
@@ -152,7 +151,7 @@ class Ambient(KindOfData):
                 f"`ambient.bands` must end below {PASSED / step:.4g} Hz after `processing.decimate`, got "
                 f"{bands.max():.4g} Hz: decimation weakens what is above. Decimate less."
             )
-        return cls(config, channels, step, bands, source, dofs, given.expected)
+        return cls(config, channels, step, bands, source, dofs, problem.expected)
 
     @cached_property
     def modes(self) -> Modal | None:

@@ -13,27 +13,15 @@ from pymc_features import plots
 from pymc_features.exceptions import ConfigError
 from pymc_features.likelihoods import Likelihood
 from pymc_features.storage import write_atomically
-from pymc_features.structures import Structure
 from pymc_features.update.config.entries import Parameter, priors_in
 from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import Section
 from pymc_features.update.config.structures import modes_of
-from pymc_features.update.plausibility.prior_modes import PriorModes
 
 CHECK_DPI, REPORT_DPI = 120, 110
 SENSORS = ("sensor", "degree of freedom", "peak [m/s²]", "rms [m/s²]")
 QUANTILES = (0.05, 0.5, 0.95)
 MODAL_DRAWS = 500
-
-
-class Setting(NamedTuple):
-    """What a kind of data is read with."""
-
-    config: Any  # the configuration file
-    folder: Path  # files are relative to it
-    priors: dict[str, Any]  # names to `Prior`
-    expected: Structure  # at the medians of the priors; of a program the values of its parameters
-    prior: PriorModes | None  # natural modes of draws of the priors; None without modes
 
 
 class Verdict(NamedTuple):
@@ -108,8 +96,8 @@ class KindOfData:
         """Raise ConfigError if another section says what means nothing beside it."""
 
     @classmethod
-    def read(cls, given: Setting) -> "KindOfData":
-        """Read and check what the section names; a ConfigError names the key."""
+    def read(cls, problem) -> "KindOfData":
+        """Read and check what the section names; a ConfigError names the key. The problem has no data yet."""
         raise NotImplementedError
 
     def parameters(self, likelihood: str):

@@ -15,7 +15,7 @@ from pymc_features.io.reading.labels import FORCES, LENGTHS
 from pymc_features.update.config.keys import named_key, refuse, shown
 from pymc_features.update.config.sections import Section, key
 from pymc_features.update.config.structures import SPECIMENS
-from pymc_features.update.kinds.base import Setting, Verdict, drawn_to, table
+from pymc_features.update.kinds.base import Verdict, drawn_to, table
 from pymc_features.update.kinds.channels import Measured
 from pymc_features.update.kinds.histories import Histories, check_likelihood
 
@@ -72,18 +72,18 @@ class Cyclic(Histories):
         super().check_sections(config)
 
     @classmethod
-    def read(cls, given: Setting):
+    def read(cls, problem):
         """Read displacement and force; files are relative to the folder."""
-        asked = given.config.cyclic
+        asked = problem.config.cyclic
         names = [asked.files] if isinstance(asked.files, str) else asked.files
-        paths = [given.folder / name for name in names]
+        paths = [problem.folder / name for name in names]
         with named_key("cyclic"):
             test, force = read_cyclic_test(
                 paths[0] if isinstance(asked.files, str) else paths, **asked.model_dump(exclude={"files"})
             )
-        check_likelihood(given, 1)
+        check_likelihood(problem, 1)
         source = ", ".join(Path(name).name for name in names)
-        return cls(given.config, Measured(test, force, test.dt, source), [0])
+        return cls(problem.config, Measured(test, force, test.dt, source), [0])
 
     @property
     def used(self):

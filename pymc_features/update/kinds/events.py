@@ -19,7 +19,7 @@ from pymc_features.events.sequence import states_in_sequence
 from pymc_features.exceptions import ConfigError, StudyMismatchError
 from pymc_features.update.config.keys import shown
 from pymc_features.update.config.sections import Section, key
-from pymc_features.update.kinds.base import Setting, declare, kinds_of, table
+from pymc_features.update.kinds.base import declare, kinds_of, table
 from pymc_features.update.kinds.channels import Measured, checked_dofs, read_measured
 from pymc_features.update.kinds.histories import WITH_EVIDENCE, check_likelihood, prints_of
 from pymc_features.update.kinds.responses import Responses
@@ -119,25 +119,25 @@ class Events(Responses):
                 )
 
     @classmethod
-    def read(cls, given: Setting):
+    def read(cls, problem):
         """Read, correct, check and process the channels of every event, all in the same way.
 
         An event is a file with all channels, or a folder in which `data.files` and `record.path` are.
         """
-        config, events = given.config, []
-        dofs = checked_dofs(config, given.expected.n_dof)
-        for name, path in places(config.events, given.folder).items():
+        config, events = problem.config, []
+        dofs = checked_dofs(config, problem.expected.n_dof)
+        for name, path in places(config.events, problem.folder).items():
             own = of_event(config, path)
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 try:
-                    measured = read_measured(own, path if path.is_dir() else path.parent, given.prior)
+                    measured = read_measured(own, path if path.is_dir() else path.parent, problem.prior)
                 except ConfigError as error:
                     raise ConfigError(f"event {name}: {error}") from error
             for warning in caught:
                 warnings.warn(f"{name}: {warning.message}", warning.category, stacklevel=2)
             events.append(Event(name, measured))
-        check_likelihood(given, len(dofs), *(event.measured for event in events))
+        check_likelihood(problem, len(dofs), *(event.measured for event in events))
         return cls(config, events[-1].measured, dofs, tuple(events))
 
     @property

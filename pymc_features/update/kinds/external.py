@@ -18,7 +18,7 @@ from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Parameter
 from pymc_features.update.config.keys import named_key, refuse
 from pymc_features.update.config.sections import MEASURED, Section, key
-from pymc_features.update.kinds.base import Setting, Verdict, channels_table, thinned
+from pymc_features.update.kinds.base import Verdict, channels_table, thinned
 from pymc_features.update.kinds.channels import Measured, part_compared, read_whole
 from pymc_features.update.kinds.histories import WITH_EVIDENCE, Histories, check_likelihood
 from pymc_features.update.kinds.responses import (
@@ -127,25 +127,25 @@ class External(Histories):
             )
 
     @classmethod
-    def read(cls, given: Setting):
+    def read(cls, problem):
         """The channels, and the program with the shape that they need."""
-        config, asked = given.config, given.config.external
-        channels, step, source = read_whole(config, given.folder)
+        config, asked = problem.config, problem.config.external
+        channels, step, source = read_whole(config, problem.folder)
         shape = channels.shape
         channels = channels.drop_vars("units", errors="ignore")
         channels = channels.assign_attrs(units=SI[MEASURED[config.data.quantity]])
         compared, first = part_compared(channels, config.processing)
         measured = Measured(None, compared, step, source, first)
-        check_likelihood(given, len(compared), measured)
+        check_likelihood(problem, len(compared), measured)
         with named_key("external", command="program", inputs="template", result="output"):
             program = ProgramSimulator(
                 asked.program,
                 list(asked.units),
-                {name: given.folder / file for name, file in asked.template.items()},
+                {name: problem.folder / file for name, file in asked.template.items()},
                 asked.output,
                 columns=asked.columns,
                 transpose=asked.transpose,
-                files=[given.folder / file for file in asked.files],
+                files=[problem.folder / file for file in asked.files],
             )
             simulator = ExternalSimulator(
                 program,
@@ -153,7 +153,7 @@ class External(Histories):
                 dt=step,
                 timeout=asked.timeout,
                 retries=asked.retries,
-                cache=given.folder / asked.cache,
+                cache=problem.folder / asked.cache,
                 executor=config.sampler.cores,
                 progress=False,
             )

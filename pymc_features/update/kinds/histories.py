@@ -27,7 +27,6 @@ from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds.base import (
     QUANTILES,
     KindOfData,
-    Setting,
     check_positive,
     draws_of_priors,
     kinds_of,
@@ -360,14 +359,14 @@ def prints_of(measured: Measured) -> dict[str, str]:
     }
 
 
-def check_likelihood(given: Setting, n_sensors: int, *several: Measured) -> None:
+def check_likelihood(problem, n_sensors: int, *several: Measured) -> None:
     """Errors fit the sensors, and likelihoods the gaps; the sigma that ABC takes from EXP must be one."""
-    likelihood = given.config.likelihood
+    likelihood = problem.config.likelihood
     for name, unit in ERRORS.items():
         advice = f"Pass it in {unit}." if unit != "-" else "1 is that of TN, 2 that of EXP."
         value = getattr(likelihood, name)
-        check_positive(f"likelihood.{name}", value, given.priors, n_sensors, "sensors", advice)
-    if "ABC" in likelihood.kinds and given.config.processing.compare is not None:
+        check_positive(f"likelihood.{name}", value, problem.priors, n_sensors, "sensors", advice)
+    if "ABC" in likelihood.kinds and problem.config.processing.compare is not None:
         raise ConfigError(
             "`likelihood.kinds` must not have ABC with `processing.compare`, for it compares whole "
             "responses. Leave one of them out."

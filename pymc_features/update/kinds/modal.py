@@ -27,7 +27,6 @@ from pymc_features.update.kinds.base import (
     MODAL_DRAWS,
     QUANTILES,
     KindOfData,
-    Setting,
     Verdict,
     check_positive,
     declare,
@@ -184,9 +183,9 @@ class Modal(KindOfData):
             )
 
     @classmethod
-    def read(cls, given: Setting):
+    def read(cls, problem):
         """Read the modes of [modal]; it warns of what is suspicious about them."""
-        section, folder, structure = given.config.modal, given.folder, given.expected
+        section, folder, structure = problem.config.modal, problem.folder, problem.expected
         files = [section.file] if section.files is None else section.files
         source = ", ".join(Path(file).name for file in files)
         with named_key("modal", source="file"):
@@ -209,8 +208,8 @@ class Modal(KindOfData):
         if labels is numbers:  # but for modes that were found twice
             found = identified(data)
             labels = [numbers[found.labels[g]] for g in found.groups.argmax(axis=0)]
-        own = cls.made(section, data, dofs, structure, source, folder, given.priors, numbers, labels)
-        for sentence in of_modes(data.frequencies, given.prior):
+        own = cls.made(section, data, dofs, structure, source, folder, problem.priors, numbers, labels)
+        for sentence in of_modes(data.frequencies, problem.prior):
             warnings.warn(sentence, PriorWarning, stacklevel=2)
         return own
 

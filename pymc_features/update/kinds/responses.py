@@ -13,7 +13,6 @@ from pymc_features.simulators.quantities import rows_of
 from pymc_features.simulators.simulate import respond
 from pymc_features.update.config.sections import MEASURED, Data
 from pymc_features.update.kinds.base import (
-    Setting,
     Verdict,
     channels_table,
     drawn_to,
@@ -68,12 +67,12 @@ class Responses(Histories):
             raise ConfigError("`record` must be left out with `data.base`, got both. One motion of the base.")
 
     @classmethod
-    def read(cls, given: Setting):
+    def read(cls, problem):
         """The channels, processed, and where they are on the structure."""
-        dofs = checked_dofs(given.config, given.expected.n_dof)
-        measured = read_measured(given.config, given.folder, given.prior)
-        check_likelihood(given, len(dofs), measured)
-        return cls(given.config, measured, dofs)
+        dofs = checked_dofs(problem.config, problem.expected.n_dof)
+        measured = read_measured(problem.config, problem.folder, problem.prior)
+        check_likelihood(problem, len(dofs), measured)
+        return cls(problem.config, measured, dofs)
 
     @property
     def used(self):
