@@ -68,6 +68,13 @@ class Predict(RecordFile):
 
 def check_predictions(config, structure) -> None:
     """Names differ, and structures have what is asked for."""
+    quantities = {f"predict[{number}]": asked.quantities for number, asked in enumerate(config.predict)}
+    for at, names in ({"report": config.report.quantities} | quantities).items():
+        if "inter_storey_drift" in names and not structure.has_storeys:
+            raise ConfigError(
+                f"`{at}.quantities` must not have inter_storey_drift for a structure without storeys, "
+                f"{structure.title}. Use relative_displacement."
+            )
     titles = [asked.title for asked in config.predict]
     if len(set(titles)) < len(titles):
         raise ConfigError(f"`predict` must have a `name` of its own for each, got {', '.join(titles)}.")
@@ -77,11 +84,6 @@ def check_predictions(config, structure) -> None:
             raise ConfigError(f"`predict` must be left out with {structure.title}, got it. It has no base.")
         if asked.path is None and (config.data is None or config.data.excitation == "ambient"):
             raise ConfigError(f"`{at}.path` must be given, the file of a ground motion: none was measured.")
-        if "inter_storey_drift" in asked.quantities and not structure.has_storeys:
-            raise ConfigError(
-                f"`{at}.quantities` must not have inter_storey_drift for a structure without storeys. Use "
-                "relative_displacement."
-            )
 
 
 def motion_of(asked: Predict, at: str, folder: Path, measured: Record | None) -> Record:

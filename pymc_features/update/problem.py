@@ -67,19 +67,9 @@ class Problem:
         return self.data[0]
 
     @property
-    def dofs(self) -> list[int]:
-        """Degree of freedom of each sensor."""
-        return self.first.dofs
-
-    @property
     def measured(self):
         """Excitation and responses; None where there is none of them."""
         return getattr(self.first, "measured", None)
-
-    @property
-    def events(self):
-        """Each with its channels; empty without [events]."""
-        return getattr(self.first, "events", ())
 
     @property
     def modal(self) -> Modal | None:
@@ -199,11 +189,6 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
         raise ConfigError(
             f"`report.natural_frequencies` must be positive and rise, got {shown(frequencies)}. "
             "Pass them in Hz."
-        )
-    if "inter_storey_drift" in config.report.quantities and not structure.has_storeys:
-        raise ConfigError(
-            "`report.quantities` must not have inter_storey_drift for a structure without storeys, "
-            f"{config.structure.type}. Use relative_displacement."
         )
     check_predictions(config, structure)
     return problem

@@ -529,4 +529,4 @@ def test_init_takes_the_shaking_table(tmp_path, data_dir):
     with pytest.warns(UserWarning, match="Channel 'floor3' comes 2.43 ms"):
         problem = read_problem(path)
     assert problem.measured.record.duration == pytest.approx(14.99, abs=0.01)
-    assert problem.dofs == [0, 1, 2]
+    assert problem.first.dofs == [0, 1, 2]

@@ -278,7 +278,10 @@ REFUSED = {  # what is said: what is changed, into what
         "[ambient]",
         "[ambient]\nbands = [[2.6, 3.6]]\nforces = 3",
     ),
-    "`ambient` must have positive spectral densities as `error`, got -1": ('error = "noise"', "error = -1.0"),
+    "`ambient.error` must be positive, got -1": (
+        'error = "noise"',
+        'bands = [[2.6, 3.6], [5.0, 6.0]]\nerror = ["noise", -1.0]',
+    ),
     "`data.base` must be left out with `data.excit": ('["first", "roof"]', '["roof"]\nbase = "first"'),
     "`likelihood` must be left out with": ("[sampler]", "[likelihood]\nsigma = 1.0\n[sampler]"),
     "`events` must be left out with": ("[sampler]", '[events]\nfolder = "."\n[sampler]'),

@@ -87,14 +87,10 @@ class AmbientSection(Section):
 
     @model_validator(mode="after")
     def one_for_each_band(self):
-        """Numbers are positive, and lists need bands that are listed."""
+        """Lists need bands that are listed."""
         for name in ("force", "error"):
-            value = getattr(self, name)
-            if isinstance(value, list) and self.bands == "auto":
+            if isinstance(getattr(self, name), list) and self.bands == "auto":
                 raise ValueError(f'must list `bands` where `{name}` is a list, got "auto"')
-            for one in value if isinstance(value, list) else [value]:
-                if isinstance(one, float) and one <= 0.0:
-                    raise ValueError(f"must have positive spectral densities as `{name}`, got {one:g}")
         return self
 
     def parameters(self, config=None):

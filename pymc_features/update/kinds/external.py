@@ -100,10 +100,6 @@ class External(Histories):
     is_checked, n_predicted = False, SIMULATED
 
     @classmethod
-    def is_asked(cls, config):
-        return config.external is not None
-
-    @classmethod
     def check_sections(cls, config):
         """Sections that speak of a structure mean nothing, and filters would touch one side alone."""
         refuse(config, OF_STRUCTURES, "with [external], got it. The program decides.")

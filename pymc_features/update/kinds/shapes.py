@@ -40,7 +40,7 @@ def points_of(problem) -> Points:
     if modal is not None and modal.nodes is not None:
         return modal.nodes
     kept = np.unique(np.linspace(0, n - 1, min(n, MOST_POINTS)).astype(int))
-    return Points(np.union1d(kept, [*problem.dofs, *(modal.dofs if modal else [])]).astype(int), None)
+    return Points(np.union1d(kept, [*problem.first.dofs, *(modal.dofs if modal else [])]).astype(int), None)
 
 
 def geometry(problem) -> xr.Dataset:
