@@ -1,7 +1,7 @@
 """Response to forces that nobody measured: [ambient], its bands, and what models make of them."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -19,7 +19,6 @@ from pymc_features.ambient.bands import Bands, band_transform, checked_bands, tr
 from pymc_features.ambient.response import parameters_of
 from pymc_features.exceptions import AmbientWarning, ConfigError
 from pymc_features.likelihoods import DIMS, Likelihood
-from pymc_features.modal import ModalData
 from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.storage import fingerprint
 from pymc_features.structures import Structure
@@ -36,7 +35,7 @@ from pymc_features.update.kinds.base import (
     thinned,
 )
 from pymc_features.update.kinds.channels import checked_dofs, read_whole
-from pymc_features.update.kinds.modal import Modal, ModalSection
+from pymc_features.update.kinds.modal import WITHOUT_SHAPES, Modal, ModalSection
 
 AMBIENT = Likelihood(
     "AMBIENT",
@@ -168,8 +167,7 @@ class Ambient(KindOfData):
             return None
         dofs, partner = self.dofs, PARTNER
         if len(dofs) < 2:  # a shape of one entry says nothing
-            known = {name: getattr(data, name) for name in ("frequency_sd", "damping_ratios", "damping_sd")}
-            data, dofs, partner = ModalData(data.frequencies, **known), [], {"sigma_f": PARTNER["sigma_f"]}
+            data, dofs, partner = replace(data, **WITHOUT_SHAPES), [], {"sigma_f": PARTNER["sigma_f"]}
         section = ModalSection(file="", shapes=bool(dofs), **partner)
         try:
             return Modal.made(section, data, dofs, self.structure, "the spectra in the bands")

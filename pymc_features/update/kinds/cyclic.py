@@ -1,18 +1,15 @@
 """Cyclic tests: the section [cyclic], displacement and force, and whether a specimen explains them."""
 
 from pathlib import Path
-from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
-from pydantic import PlainValidator
 
 from pymc_features import plots
-from pymc_features._checks import is_number
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_cyclic_test
 from pymc_features.io.reading.labels import FORCES, LENGTHS
-from pymc_features.update.config.keys import named_key, refuse, shown
+from pymc_features.update.config.keys import named_key, refuse
 from pymc_features.update.config.sections import Section, key
 from pymc_features.update.config.structures import SPECIMENS
 from pymc_features.update.kinds.base import Verdict, drawn_to, table
@@ -26,26 +23,18 @@ PERSISTS = 0.5  # correlation of the error with that of the sample before
 ENERGY = 0.1  # relative error of the dissipated energy that is worth a word
 
 
-def pair_of(accepts, words):
-    """A list of two values, for displacement and force."""
-
-    def pair(value):
-        if not (isinstance(value, list) and len(value) == 2 and all(map(accepts, value))):
-            raise ValueError(f"must be {words}, got {shown(value)}")
-        return value
-
-    return Annotated[Any, PlainValidator(pair)]
-
-
 class CyclicSection(Section):
     """A table with both, or one of each."""
 
     files: str | list[str] = key("a file, or a list of two, of the displacement and of the force")
-    columns: (
-        pair_of(lambda v: type(v) in (int, str), "two columns, by index from 0 or header name") | None
-    ) = key("two columns, of displacement and force, by index from 0 or header name", None)
-    units: pair_of(lambda v: isinstance(v, str) or is_number(v), LENGTH_OR_FORCE) | None = key(
-        f"{LENGTH_OR_FORCE}, or m and N per file unit", None
+    columns: list[int | str] | None = key(
+        "two columns, of displacement and force, by index from 0 or header name",
+        None,
+        min_length=2,
+        max_length=2,
+    )
+    units: list[str | float] | None = key(
+        f"{LENGTH_OR_FORCE}, or m and N per file unit", None, min_length=2, max_length=2
     )
     skip: int = key("the number of rows to leave out at the start, not negative", 0, ge=0)
     wrapped: bool | None = key("true if one series runs along the lines, else false", None)

@@ -1,7 +1,7 @@
 """Identified modes: the section [modal], what is read, and what a model makes of them."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -49,6 +49,7 @@ MODAL = Likelihood(
     takes=(),
 )
 SCALE = "the name of a prior or a number, one or one for each mode"
+WITHOUT_SHAPES = {"shapes": None, "channels": (), "shape_sd": None}
 SPARE = 3  # modes beyond those identified, among which the likelihood may choose
 BEYOND = 1.2  # of the highest identified frequency: modes above it are not in tables
 MATCHED_DRAWS = 500
@@ -447,14 +448,13 @@ def modes_verdict(rows: list[ModeRow]) -> Verdict:
 
 def at_channels(section, data, structure, source) -> tuple[ModalData, list[int]]:
     """The modes at the channels that are compared, in their sense, and their places; or frequencies alone."""
-    known = ("frequency_sd", "damping_ratios", "damping_sd", "labels")
     if data.shapes is None or not section.shapes:
         for name in ("channels", "scale", "sigma_phi", "nodes"):
             if getattr(section, name) is not None:
                 raise ConfigError(
                     f"`modal.{name}` must be left out without shapes, got it. {source} has frequencies alone."
                 )
-        return ModalData(data.frequencies, **{name: getattr(data, name) for name in known}), []
+        return replace(data, **WITHOUT_SHAPES), []
     n = structure.n_dof
     if section.channels is None:
         raise ConfigError(
@@ -483,5 +483,4 @@ def at_channels(section, data, structure, source) -> tuple[ModalData, list[int]]
             )
     factors = np.array([scale.get(name, 1.0) for name in data.channels])
     sd = None if data.shape_sd is None else data.shape_sd * np.abs(factors)
-    kept = {name: getattr(data, name) for name in (*known, "name")}
-    return ModalData(data.frequencies, data.shapes * factors, data.channels, shape_sd=sd, **kept), dofs
+    return replace(data, shapes=data.shapes * factors, shape_sd=sd), dofs

@@ -97,7 +97,7 @@ def of_modes(identified, prior: PriorModes) -> list[str]:
     """What the priors exclude of identified natural frequencies (m,) [Hz]."""
     few = prior.few(MOST_DRAWS).frequencies
     factor, draw = factor_of(np.asarray(identified), few)
-    found = [Resonance(float(f), 0.0, (0.0, 0.0, 0.0), (), 0.0) for f in identified]
+    found = [Resonance(float(f), (0.0, 0.0, 0.0), (), 0.0) for f in identified]
     peaks = matched(factor * few[draw], found)
     if not peaks or not is_outside(prior, min(peaks), peaks[min(peaks)].frequency):
         return []

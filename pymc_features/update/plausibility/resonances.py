@@ -34,7 +34,6 @@ class Resonance(NamedTuple):
     """A resonance of the channels."""
 
     frequency: float  # [Hz]
-    frequency_sd: float
     # ratio [-]: 5 %, most likely, 95 %, with frequency and damping constant during the record
     damping: tuple[float, float, float]
     sensors: tuple[str, ...]  # those that show it, the clearest first
@@ -176,12 +175,10 @@ def refined(spectra, centre, others) -> Resonance | None:
         at, best, half, ratios = grid[i], ratios[j], 0.3 * half, np.geomspace(low, high, 14)
     if not 0 < i < grid.size - 1:
         return None
-    bend = np.diff(total.max(axis=1), 2)[i - 1]
     gains, shares = each[:, i * 14 + j], 1.0 - (fitted / smooth)[:, i * 14 + j]
     shown = [s for s in np.argsort(-gains) if shares[s] > SHOWN and gains[s] > CLEAR / 3.0]
     return Resonance(
         float(at),
-        float(at * (half / 1.5) * np.sqrt(DROP / 1.353 / -bend)),
         (float(low), float(best), float(high)),
         tuple(spectra.names[s] for s in shown),
         float(total.max()),
