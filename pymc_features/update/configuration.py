@@ -3,24 +3,12 @@
 import keyword
 from pathlib import Path
 
-from pydantic import Field, ValidationError, create_model, model_validator
+from pydantic import ValidationError, create_model, model_validator
 
 from pymc_features.exceptions import ConfigError
+from pymc_features.update.config import sections
 from pymc_features.update.config.entries import units_in
 from pymc_features.update.config.keys import check_keys, parsed, sentence, shown
-from pymc_features.update.config.sections import (
-    Candidate,
-    Hierarchical,
-    Likelihood,
-    PriorSection,
-    Processing,
-    RecordFile,
-    Report,
-    Sampler,
-    Section,
-    Sensitivity,
-    parameters_of,
-)
 from pymc_features.update.config.structures import SPECIMENS, StructureSection, with_damping
 from pymc_features.update.kinds import KINDS_OF_DATA
 from pymc_features.update.predictions import Predict
@@ -29,26 +17,26 @@ A_STRUCTURE = "a table with `type`, the name of a structure"
 TAKEN = {"y", "chain", "draw", "sensor", "time", "sample", "mode", "modal", "modal_mode", "modal_entry"}
 
 
-class File(Section):
+class File(sections.Section):
     """The sections that every file may have."""
 
-    record: RecordFile | None = Field(None, description="a table")
-    processing: Processing = Field(Processing(), description="a table")
-    structure: StructureSection | None = Field(None, description=A_STRUCTURE)
-    priors: dict[str, PriorSection] = Field(description="a table of priors, one or more", min_length=1)
-    likelihood: Likelihood | None = Field(None, description="a table")
-    sampler: Sampler = Field(Sampler(), description="a table")
-    predict: list[Predict] = Field([], description="a list of tables, each [[predict]]")
-    compare: dict[str, Candidate] = Field({}, description="a table of candidates, each [compare.NAME]")
-    hierarchical: Hierarchical | None = Field(None, description="a table")
-    sensitivity: Sensitivity | None = Field(None, description="a table")
-    report: Report = Field(Report(), description="a table")
+    record: sections.RecordFile | None = sections.key("a table", None)
+    processing: sections.Processing = sections.key("a table", sections.Processing())
+    structure: StructureSection | None = sections.key(A_STRUCTURE, None)
+    priors: dict[str, sections.PriorSection] = sections.key("a table of priors, one or more", min_length=1)
+    likelihood: sections.Likelihood | None = sections.key("a table", None)
+    sampler: sections.Sampler = sections.key("a table", sections.Sampler())
+    predict: list[Predict] = sections.key("a list of tables, each [[predict]]", [])
+    compare: dict[str, sections.Candidate] = sections.key("a table of candidates, each [compare.NAME]", {})
+    hierarchical: sections.Hierarchical | None = sections.key("a table", None)
+    sensitivity: sections.Sensitivity | None = sections.key("a table", None)
+    report: sections.Report = sections.key("a table", sections.Report())
 
     complete = model_validator(mode="before")(with_damping)
 
     def uses(self) -> dict[str, list[tuple[str, str]]]:
         """Names of priors to (key, unit) of every place where they are used, in the order of use."""
-        places = [] if self.structure is None else list(parameters_of("structure", self.structure))
+        places = [] if self.structure is None else list(sections.parameters_of("structure", self.structure))
         for name in type(self).model_fields:
             places += getattr(getattr(self, name), "parameters", lambda config: ())(self)
         found: dict[str, dict[tuple[str, str], None]] = {}
@@ -62,7 +50,7 @@ Config = create_model(
     "Config",
     __base__=File,
     __doc__="The whole file.",
-    **{kind.key: (kind.section | None, Field(None, description="a table")) for kind in KINDS_OF_DATA},
+    **{kind.key: (kind.section | None, sections.key("a table", None)) for kind in KINDS_OF_DATA},
 )
 
 

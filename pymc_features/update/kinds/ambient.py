@@ -11,7 +11,6 @@ import pytensor
 import pytensor.tensor as pt
 import xarray as xr
 from pydantic import PlainValidator, model_validator
-from pytensor.graph.replace import clone_replace
 
 from pymc_features import plots
 from pymc_features.ambient import AmbientResponse, identify_modes, propose_bands, spectral_response
@@ -339,10 +338,8 @@ def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
 def parts_of_draws(model, posterior: xr.Dataset):
     """Frequencies, damping ratios, shapes, factors of forces and errors at some draws of the posterior."""
     few, names = thinned(posterior, DRAWS), [rv.name for rv in model.free_RVs]
-    inputs = [model[name].type(name) for name in names]
-    replaced = dict(zip((model[name] for name in names), inputs, strict=True))
-    parts = clone_replace(parameters_of(model["y"]), replaced)
-    function = pytensor.function(inputs, parts, mode="FAST_COMPILE", on_unused_input="ignore")
+    settings = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}
+    function = pytensor.function([model[name] for name in names], parameters_of(model["y"]), **settings)
     for chain, draw in np.ndindex(few.sizes["chain"], few.sizes["draw"]):
         one = few.isel(chain=chain, draw=draw)
         yield function(*(one[name].values for name in names))

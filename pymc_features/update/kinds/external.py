@@ -18,17 +18,9 @@ from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Parameter
 from pymc_features.update.config.keys import named_key, refuse
 from pymc_features.update.config.sections import MEASURED, Section, key
-from pymc_features.update.kinds.base import Verdict, channels_table, thinned
+from pymc_features.update.kinds.base import channels_table, thinned
 from pymc_features.update.kinds.channels import Measured, part_compared, read_whole
-from pymc_features.update.kinds.histories import WITH_EVIDENCE, Histories, check_likelihood
-from pymc_features.update.kinds.responses import (
-    DENSE,
-    ROUGH,
-    UNEXPLAINED,
-    accounted_for,
-    densest_share,
-    headline,
-)
+from pymc_features.update.kinds.histories import WITH_EVIDENCE, Histories, accounted_for, check_likelihood
 
 SIMULATED = 50  # draws whose responses the report shows
 OF_STRUCTURES = "structure record events modal ambient cyclic predict compare hierarchical sensitivity"
@@ -227,19 +219,3 @@ class External(Histories):
         more = f". Responses are those of {SIMULATED} draws."
         shown = channels_table(self.config, measured.source, nowhere, measured.channels, measured.step, more)
         return [*super().tables(problem, result), shown]
-
-    def verdict(self, problem, result, kind):
-        """Whether the median response meets what was measured, but for noise."""
-        part = result[kind]
-        sensors, measured = part["bands"]["sensor"].values.astype(str), part["observed_data"]["y"].values
-        error = np.nan_to_num(measured - part["bands"]["response"].sel(quantile=0.5).values)
-        relative = part["bands"]["normalised_error"].values
-        structured = densest_share(error, self.measured.step, self.band) > DENSE
-        bad, rough = structured & (relative > UNEXPLAINED), structured & (relative > ROUGH)
-        told = [headline(sensors, relative, bad)]
-        if rough.any():
-            told.append(
-                f"The error at {', '.join(sensors[rough])} is no noise but an error of the model: it is "
-                "gathered around few frequencies."
-            )
-        return Verdict(told, not bad.any())

@@ -27,6 +27,7 @@ from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds.base import (
     QUANTILES,
     KindOfData,
+    Verdict,
     check_positive,
     draws_of_priors,
     kinds_of,
@@ -40,6 +41,10 @@ DRAWS = 200
 #: Likelihoods whose posterior has an evidence, and may be the prior of another.
 WITH_EVIDENCE = [name for name, one in LIKELIHOODS.items() if not (one.calibrates or one.is_likelihood_free)]
 COMPONENTS, HELD = 6, 0.999  # at most so many, or as many as hold this share of the variance of responses
+UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation, unless it is noise
+NARROW, DENSE = 0.1, 0.3  # white noise has less than this share of its energy in a tenth of the frequencies
+ROUGH = 0.15  # rms error over measured rms that is worth a word where it is structured
+SEGMENTS = 8  # of a record, for coherences
 ZOOM = 4.0  # [s] around the strongest motion
 ERROR_OF_FIT = ("likelihood", "sensor", "rms error / measured rms", "samples in the 90 % band")
 
@@ -246,6 +251,22 @@ class Histories(KindOfData):
             told.append(f"Next to a bound of its prior the 90 % interval is the shortest one: {named}.")
         return " ".join(filter(None, told))
 
+    def verdict(self, problem, result, kind):
+        """Whether the median response meets what was measured, but for noise."""
+        part = result[kind]
+        sensors, measured = part["bands"]["sensor"].values.astype(str), part["observed_data"]["y"].values
+        error = np.nan_to_num(measured - part["bands"]["response"].sel(quantile=0.5).values)
+        relative = part["bands"]["normalised_error"].values
+        structured = densest_share(error, self.measured.step, self.band) > DENSE
+        bad, rough = structured & (relative > UNEXPLAINED), structured & (relative > ROUGH)
+        told = [headline(sensors, relative, bad)]
+        if rough.any():
+            told.append(
+                f"The error at {', '.join(sensors[rough])} is no noise but an error of the model: it is "
+                "gathered around few frequencies."
+            )
+        return Verdict(told, not bad.any())
+
     def tables(self, problem, result):
         """How each likelihood meets the responses, and the largest values of other responses."""
         fit, peaks = [], []
@@ -268,6 +289,35 @@ class Histories(KindOfData):
             "response": lambda: plots.predictive(part),
             "response_zoom": lambda: plots.predictive(part, window=strongest(part)),
         }
+
+
+def densest_share(error, step, band) -> np.ndarray:
+    """Largest share (sensor,) of the energy of errors (sensor, time) in a tenth of a band."""
+    from scipy import signal  # a second to import
+
+    size = error.shape[1]
+    frequency, spectrum = signal.welch(error, 1.0 / step, nperseg=min(size, max(16, size // SEGMENTS)))
+    inside = np.sort(spectrum[:, (frequency >= band[0]) & (frequency <= band[1])], axis=1)
+    some = max(1, round(NARROW * inside.shape[1]))
+    with np.errstate(divide="ignore", invalid="ignore"):  # of no error at all
+        return np.nan_to_num(inside[:, -some:].sum(axis=1) / inside.sum(axis=1))
+
+
+def accounted_for(sensors, relative) -> str:
+    """Share of the mean square of each sensor that is explained, by its relative error."""
+    shares = 100.0 * np.maximum(0.0, 1.0 - np.square(relative))
+    return ", ".join(f"{share:.0f} % of {name}" for name, share in zip(sensors, shares, strict=True))
+
+
+def headline(sensors, relative, bad) -> str:
+    """One sentence on all sensors."""
+    named = accounted_for(sensors, relative)
+    if bad.any():
+        worst = ", ".join(np.asarray(sensors)[bad])
+        return f"This model does not explain {worst}: it accounts for {named} (share of the mean square)."
+    if (relative > UNEXPLAINED).any():
+        return f"The model explains the measurements but for noise: it accounts for {named}."
+    return f"The model explains the measurements: it accounts for {named} (share of the mean square)."
 
 
 def predictive(model, idata, draws: int) -> np.ndarray:

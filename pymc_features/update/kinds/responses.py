@@ -19,7 +19,16 @@ from pymc_features.update.kinds.base import (
     table,
 )
 from pymc_features.update.kinds.channels import Measured, checked_dofs, read_measured
-from pymc_features.update.kinds.histories import Histories, check_likelihood
+from pymc_features.update.kinds.histories import (
+    DENSE,
+    ROUGH,
+    SEGMENTS,
+    UNEXPLAINED,
+    Histories,
+    check_likelihood,
+    densest_share,
+    headline,
+)
 from pymc_features.update.plausibility.findings import mode_rows, scales
 from pymc_features.update.templates.numbers import pretty
 
@@ -28,14 +37,10 @@ EXPECTED = ("mode", "priors [Hz]", "data [Hz]", "priors [%]", "damping of data [
 PROMINENCE = 2.0  # of a peak of the gain over the valleys beside it, a factor
 FINEST = 8  # refinement of the record beside which that of the model is judged
 TOO_COARSE = 1.0  # difference over the half-width of the 90 % bands that is more than the fit may claim
-UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation, unless it is noise
 WORSE = 0.9  # the same, of a model with which nothing is gained
-NARROW, DENSE = 0.1, 0.3  # white noise has less than this share of its energy in a tenth of the frequencies
 RINGS = 0.4  # share of the error's energy near natural frequencies
-ROUGH = 0.15  # rms error over measured rms that is worth a word where it is structured
 FOLLOWS = 0.6  # coherence of the error with the base: noise has it in one of 20,000 frequencies
 BESIDE = 0.1  # relative distance within which a peak is that of a natural frequency
-SEGMENTS = 8  # of a record, for coherences
 DAMPING = (5e-4, 0.2)  # ratios that structures have
 
 
@@ -312,35 +317,6 @@ def residuals_of(data: Measured, band, part, frequencies) -> Residuals:
         densest_share(error, data.step, band),
         power @ beside.T / power.sum(axis=1, keepdims=True),
     )
-
-
-def densest_share(error, step, band) -> np.ndarray:
-    """Largest share (sensor,) of the energy of errors (sensor, time) in a tenth of a band."""
-    from scipy import signal  # a second to import
-
-    size = error.shape[1]
-    frequency, spectrum = signal.welch(error, 1.0 / step, nperseg=min(size, max(16, size // SEGMENTS)))
-    inside = np.sort(spectrum[:, (frequency >= band[0]) & (frequency <= band[1])], axis=1)
-    some = max(1, round(NARROW * inside.shape[1]))
-    with np.errstate(divide="ignore", invalid="ignore"):  # of no error at all
-        return np.nan_to_num(inside[:, -some:].sum(axis=1) / inside.sum(axis=1))
-
-
-def accounted_for(sensors, relative) -> str:
-    """Share of the mean square of each sensor that is explained, by its relative error."""
-    shares = 100.0 * np.maximum(0.0, 1.0 - np.square(relative))
-    return ", ".join(f"{share:.0f} % of {name}" for name, share in zip(sensors, shares, strict=True))
-
-
-def headline(sensors, relative, bad) -> str:
-    """One sentence on all sensors."""
-    named = accounted_for(sensors, relative)
-    if bad.any():
-        worst = ", ".join(np.asarray(sensors)[bad])
-        return f"This model does not explain {worst}: it accounts for {named} (share of the mean square)."
-    if (relative > UNEXPLAINED).any():
-        return f"The model explains the measurements but for noise: it accounts for {named}."
-    return f"The model explains the measurements: it accounts for {named} (share of the mean square)."
 
 
 def errors_of_model(found: Residuals, sensors, rough, peaks, frequencies, band):

@@ -5,17 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features.update.plausibility import transfer
 from pymc_features.update.plausibility.prior_modes import PriorModes
 from pymc_features.update.plausibility.resonances import Resonance, resonances, spectra_of
-from pymc_features.update.plausibility.transfer import (
-    MOST_DRAWS,
-    SAME,
-    Placement,
-    Scale,
-    factor_of,
-    placement,
-    scale_of,
-)
 
 BEYOND = 3.5  # standard deviations of the prior beyond which it excludes a peak
 CLOSEST = 0.02  # relative distance that excludes nothing, however narrow the prior is
@@ -50,8 +42,8 @@ class Compared(NamedTuple):
     others: list[Resonance]  # resonances that are none of these
     first: float | None  # first natural frequency that the data show [Hz]; None if they do not
     is_contradicted: bool  # whether frequencies of the data are outside of what the priors allow
-    scale: Scale | None  # the factor between both; None of a record without resonances
-    placed: Placement | None  # how sensors fit their places; None where the priors cannot tell
+    scale: transfer.Scale | None  # the factor between both; None of a record without resonances
+    placed: transfer.Placement | None  # how sensors fit their places; None where the priors cannot tell
     prior: PriorModes  # as they were given
     step: float
     duration: float
@@ -63,11 +55,11 @@ def of_data(channels, step, prior: PriorModes, dofs, quantity, *, duration, pass
     The sensors measure a `quantity` at the degrees of freedom `dofs` every `step` [s]; `duration` is that of
     the part that is compared [s], and `pass_band` are the frequencies [Hz] that filters leave.
     """
-    spectra, few = spectra_of(channels, step), prior.few(MOST_DRAWS)
+    spectra, few = spectra_of(channels, step), prior.few(transfer.MOST_DRAWS)
     found, scale, placed, first = resonances(spectra), None, None, None
     shown, is_contradicted, told, peaks = np.median(prior.frequencies, axis=0), False, [], {}
     if found:
-        scale = scale_of(spectra, few, dofs, quantity)
+        scale = transfer.scale_of(spectra, few, dofs, quantity)
         peaks = matched(scale.factor * few.frequencies[scale.draw], found)
     if peaks:
         mode = min(peaks)
@@ -77,7 +69,7 @@ def of_data(channels, step, prior: PriorModes, dofs, quantity, *, duration, pass
             told.append(contradiction(prior, peaks, step))
             shown = scale.factor * shown
         else:
-            placed = placement(spectra, prior, dofs, quantity, scale.factor)
+            placed = transfer.placement(spectra, prior, dofs, quantity, scale.factor)
         first = scale.factor * few.frequencies[scale.draw, 0] if mode else peaks[0].frequency
     told += too_little(duration, step, first, shown, len(dofs), pass_band)
     if peaks and not is_contradicted:
@@ -95,8 +87,8 @@ def of_data(channels, step, prior: PriorModes, dofs, quantity, *, duration, pass
 
 def of_modes(identified, prior: PriorModes) -> list[str]:
     """What the priors exclude of identified natural frequencies (m,) [Hz]."""
-    few = prior.few(MOST_DRAWS).frequencies
-    factor, draw = factor_of(np.asarray(identified), few)
+    few = prior.few(transfer.MOST_DRAWS).frequencies
+    factor, draw = transfer.factor_of(np.asarray(identified), few)
     found = [Resonance(float(f), (0.0, 0.0, 0.0), (), 0.0) for f in identified]
     peaks = matched(factor * few[draw], found)
     if not peaks or not is_outside(prior, min(peaks), peaks[min(peaks)].frequency):
@@ -167,7 +159,7 @@ def matched(frequencies, found) -> dict[int, Resonance]:
     """Modes, lowest first, to the closest resonance, each taken once."""
     pairs = {}
     distances = np.abs(np.log(np.divide.outer(frequencies, [one.frequency for one in found])))
-    while distances.size and distances.min() < SAME:
+    while distances.size and distances.min() < transfer.SAME:
         mode, peak = np.unravel_index(distances.argmin(), distances.shape)
         pairs[int(mode)] = found[peak]
         distances[mode], distances[:, peak] = np.inf, np.inf
