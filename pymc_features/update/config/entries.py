@@ -127,10 +127,8 @@ def allowed(table, *keys):
 
 def in_groups(groups) -> list:
     """One entry for each member of the groups."""
-    if not isinstance(groups, list) or not groups:
-        raise ValueError(f"must have pairs [VALUE, COUNT] in `groups`, got {groups!r}")
     found = []
-    for group in groups:
+    for group in groups if isinstance(groups, list) and groups else [groups]:
         if not isinstance(group, list) or len(group) != 2:
             raise ValueError(f"must have pairs [VALUE, COUNT] in `groups`, got {group!r}")
         value, count = group
