@@ -190,20 +190,14 @@ class Responses(Histories):
 
     def tables(self, problem, result):
         """Add the channels, and how they compare with the base."""
-        measured = self.measured
-        left_out = "Peaks, root mean squares and errors are those of the samples that are left."
-        more = (
-            f", of the base at {measured.record.dt:.6g} s. The channels were {measured.checked.rstrip('.')}. "
-            f"{left_out if measured.left_out else ''}"
-        )
-        of_base = {"more": more, "base": measured.record.acceleration}
-        shown = [
-            channels_table(
-                self.config, measured.source, self.dofs, measured.channels, measured.step, **of_base
-            )
-        ]
-        shown += [] if measured.gains is None else [gains_table(measured.gains)]
-        return [*super().tables(problem, result), *shown]
+        measured, record = self.measured, self.measured.record
+        more = f", of the base at {record.dt:.6g} s. The channels were {measured.checked.rstrip('.')}. "
+        if measured.left_out:
+            more += "Peaks, root mean squares and errors are those of the samples that are left."
+        source = self.config, measured.source, self.dofs, measured.channels, measured.step
+        gains = [] if measured.gains is None else [gains_table(measured.gains)]
+        channels = channels_table(*source, more, record.acceleration)
+        return [*super().tables(problem, result), channels, *gains]
 
     def figures(self, problem, result):
         return {
