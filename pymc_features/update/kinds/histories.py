@@ -180,7 +180,7 @@ class Histories(KindOfData):
         ) as drawn:
 
             def blocks():
-                for first, values in drawn.ensemble.blocks(0, name):
+                for first, values in drawn.ensemble.blocks(name):
                     at, end = max(first, start), start + self.channels.sizes["time"]
                     if first < end and first + values.shape[1] > at:
                         yield at - start, values[:, at - first : end - first]
