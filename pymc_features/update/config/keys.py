@@ -14,6 +14,8 @@ from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 
 SCHEMA = Path(__file__).with_name("schema.json")  # of `Config`; `python docs/tables.py` writes it anew
 LARGEST = 2**63 - 1  # integers of TOML have 64 bits
+DEEPEST = 16  # tables and lists within each other
+LONGEST = 200  # characters of a key
 OTHER = "of another kind"  # what a key must be that says nothing of itself
 ENTRY = 80  # characters of a name that the user chose, in a message
 MESSAGE = 600  # characters of a message, which may quote the name of a file
@@ -44,7 +46,7 @@ def parsed(path) -> dict:
         )
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
-        check_integers(raw)
+        check_sizes(raw)
         check_keys(raw)
     except ConfigError as error:
         raise ConfigError(f"{path.name}: {error}") from error
@@ -56,14 +58,21 @@ def parsed(path) -> dict:
     return raw
 
 
-def check_integers(value, key: str = "") -> None:
-    """Refuse integers that TOML does not have, which would only fail later, in a conversion."""
+def check_sizes(value, key: str = "", depth: int = 0) -> None:
+    """Refuse what would only fail later, in a conversion, by a recursion or in a message without end."""
     if isinstance(value, int) and abs(value) > LARGEST:
         raise ConfigError(f"`{key}` must be a number of at most 64 bits, got one of {value.bit_length()}.")
+    if depth > DEEPEST:
+        raise ConfigError(f"`{key}` must have at most {DEEPEST} tables or lists within each other, got more.")
     if isinstance(value, list):
-        value = {f"[{number}]": item for number, item in enumerate(value)}
-    for name, item in value.items() if isinstance(value, dict) else ():
-        check_integers(item, f"{key}{'' if name[:1] == '[' or not key else '.'}{name}")
+        for number, item in enumerate(value):
+            check_sizes(item, f"{key}[{number}]", depth + 1)
+    elif isinstance(value, dict):
+        for name, item in value.items():
+            if len(name) > LONGEST:
+                at = f"`{key}`" if key else "the file"
+                raise ConfigError(f"{at} must have keys of at most {LONGEST} characters, got {len(name)}.")
+            check_sizes(item, f"{key}.{name}" if key else name, depth + 1)
 
 
 def check_keys(raw: dict) -> None:
