@@ -20,7 +20,7 @@ CAL is NORM's likelihood to a power, stretched about its maximum along theta and
 
 from collections.abc import Callable
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
@@ -32,9 +32,6 @@ from pymc_features.calibration.sandwich import sandwich, stretching
 from pymc_features.likelihoods import LIKELIHOODS, abc_tolerance
 from pymc_features.likelihoods.catalogue import NORM, Exponents
 from pymc_features.study import paper
-
-if TYPE_CHECKING:
-    from pymc_features.study.settings import Study
 
 PARAMETERS = ("theta", "sigma", "tau")
 STATISTICS = ("map", "q05", "q50", "q95")
@@ -359,9 +356,9 @@ def scale_marginal(weighted, mass, half, largest):
 
 
 class Step:
-    """Misfit between the measurements (sensor, time) of a study at one sampling step and its structure."""
+    """Misfit between the measurements (sensor, time) of a `Study` at one sampling step and its structure."""
 
-    def __init__(self, study: "Study", multiplier: float):
+    def __init__(self, study, multiplier: float):
         self.study, self.row = study, study.multipliers.index(multiplier)
         self.data, self.dt = study.data(multiplier), study.step(multiplier)
 
