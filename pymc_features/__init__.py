@@ -17,6 +17,7 @@ sample: its uncertainty does not depend on the sampling rate.
 
 from importlib import import_module
 from importlib.util import find_spec
+from warnings import warn
 
 TYPE_CHECKING = False  # that of `typing` for type checkers, which takes longer to import than this file
 if TYPE_CHECKING:
@@ -50,9 +51,21 @@ def __getattr__(name: str):
         if find_spec(f"{__name__}.{name}"):
             return import_module(f"{__name__}.{name}")
     public = import_module(f"{__name__}.public")
-    if name != "__all__" and name not in public.__all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return globals().setdefault(name, getattr(public, name))
+    if name == "__all__" or name in public.__all__:
+        return globals().setdefault(name, getattr(public, name))
+    return _of_a_submodule(public, name)
+
+
+def _of_a_submodule(public, name: str):
+    """A name that stood here before there were submodules, with a warning that says where it is."""
+    short = {"plot_response_bands": "response"}.get(name, name.removeprefix("plot_"))
+    for place in ("plots",) if short != name else public.__all__:
+        module = getattr(public, place)
+        if short in getattr(module, "__all__", ()):
+            message = f"`pymc_features.{name}` is `pymc_features.{place}.{short}`, and will be only there."
+            warn(message, FutureWarning, stacklevel=3)
+            return getattr(module, short)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__():

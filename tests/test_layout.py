@@ -5,6 +5,7 @@ import functools
 import inspect
 import sys
 from collections.abc import Callable, Iterator
+from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -266,8 +267,12 @@ def test_public_names():
         assert dir(module) == sorted(module.__all__), name
     for name in pymc_features.__all__:
         assert getattr(pymc_features, name).__doc__, f"{name} has no docstring"
-    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
-        pymc_features.nothing  # noqa: B018
+    for name in ("nothing", "plot_nothing"):
+        with pytest.raises(AttributeError, match=f"has no attribute '{name}'"):
+            getattr(pymc_features, name)
+    for name, place in {"mac": "modal.mac", "plot_mac": "plots.mac"}.items():
+        with pytest.warns(FutureWarning, match=f"`pymc_features.{name}` is `pymc_features.{place}`"):
+            assert getattr(pymc_features, name) is attrgetter(place)(pymc_features)
 
 
 def test_exceptions_live_in_one_module():
