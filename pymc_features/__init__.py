@@ -57,7 +57,7 @@ def __getattr__(name: str):
 
 
 def _of_a_submodule(public, name: str):
-    """A name that stood here before there were submodules, with a warning that says where it is."""
+    """A name of a submodule, with a warning that says where it is: many stood here before."""
     short = {"plot_response_bands": "response"}.get(name, name.removeprefix("plot_"))
     for place in ("plots",) if short != name else public.__all__:
         module = getattr(public, place)

@@ -146,9 +146,9 @@ class Record(DynamicLoad):
     Parameters
     ----------
     acceleration : array_like or pm.Data (time,)
-        Ground acceleration [m/s^2]; copied, float64, at least two finite samples. As `pm.Data` a model
-        compares with the motion that `pm.set_data` gives it, of any length; copies of the record, cut or
-        resampled ones too, are of the samples as they were.
+        Ground acceleration [m/s^2]; copied, float64, at least two finite samples. Of `pm.Data` a
+        model takes the motion that `pm.set_data` gives it, of any length; what else is made of the record
+        (`simulate`, figures, `first`, `resampled`) has the samples of when it was declared.
     dt : float
         Sampling interval [s], positive.
     name : str

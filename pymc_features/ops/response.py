@@ -171,9 +171,7 @@ def respond(structure, record, dt, asked, rows) -> TensorVariable:
     inputs = dict(zip(op.names, inputs, strict=True))
     for name in (*op.spec.constants, "acceleration", "direct"):
         if not isinstance(inputs[name], Variable):
-            inputs[name] = as_data(
-                inputs[name], record.name if name == "acceleration" and record.name else name
-            )
+            inputs[name] = as_data(inputs[name], name)
     result = op(*inputs.values())
     result.owner.tag.excited = structure.excitation(record), record, asked
     return result

@@ -1,6 +1,7 @@
 """Likelihoods of histories inside a model; their warnings; sigma and tolerance."""
 
 import functools
+import sys
 import warnings
 
 import arviz as az
@@ -14,7 +15,6 @@ from scipy import optimize, special
 import pymc_features as pmf
 from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.likelihoods import HISTORY_LIKELIHOODS
-from pymc_features.simulators import SIMULATED
 from support.graphs import LIGHT
 from support.likelihoods import EVERY, EVERY_FEATURE, declare, equation, evaluate, random_data
 from support.structures import noise_record, with_first_spring, with_noise
@@ -209,7 +209,7 @@ def test_the_number_of_sensors_that_is_enough(likelihood, n_sensors, power):
 
 
 @EVERY_FEATURE
-def test_noise_free_data_are_warned_of(likelihood, pulse):
+def test_noise_free_data_are_warned_of(likelihood, pulse, monkeypatch):
     """At the model's initial point the response equals the data; with noise or a fixed sigma: silence.
 
     And for data that this process has not made, for which nothing is compiled.
@@ -229,7 +229,7 @@ def test_noise_free_data_are_warned_of(likelihood, pulse):
     declared(exact, 0.5)
     noisy = exact + 0.01 * np.random.default_rng(0).normal(size=exact.shape)
     declared(noisy, None)
-    SIMULATED.clear()
+    monkeypatch.setattr(sys.modules["pymc_features.ops.response"], "SIMULATED", set())
     declared(exact, None)
 
 

@@ -254,3 +254,30 @@ def test_rates_and_steps_of_a_file(save, name, reader):
         assert read_record(path, units="g").dt == pytest.approx(expected, rel=1e-12)
     else:
         assert float(read_channels(path, units="g")["time"][1]) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("version", ["4", "5"])
+def test_a_variable_that_is_there_twice(tmp_path, version):
+    """One of the two would be taken without a word."""
+    first, second = tmp_path / "first.mat", tmp_path / "second.mat"
+    for path, value in ((first, 1.0), (second, 2.0)):
+        savemat(path, {"ag": np.full((4, 1), value)}, format=version)
+    header = {"4": 0, "5": 128}[version]
+    first.write_bytes(first.read_bytes() + second.read_bytes()[header:])
+    with pytest.raises(ValueError, match="cannot be read .a variable is there twice"):
+        load_variables(first)
+
+
+@pytest.mark.parametrize("row", [1.0, 1.5])
+def test_places_in_a_sparse_matrix_are_whole_numbers(tmp_path, row):
+    path = tmp_path / "k.mat"
+    with h5py.File(path, "w") as file:
+        group = file.create_group("K")
+        group.attrs["MATLAB_sparse"] = np.uint64(2)
+        for name, values in {"data": [4.0, 5.0], "ir": [0.0, row], "jc": [0, 1, 2]}.items():
+            group.create_dataset(name, data=values)
+    if row == 1.0:
+        np.testing.assert_array_equal(load_variables(path)["K"].toarray(), [[4.0, 0.0], [0.0, 5.0]])
+        return
+    with pytest.raises(ValueError, match="places in a sparse matrix must be whole numbers"):
+        load_variables(path)

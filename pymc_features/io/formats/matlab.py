@@ -46,14 +46,15 @@ def load_variables(path: Path) -> dict[str, np.ndarray]:
             return _load_hdf5(path)
         raw = memoryview(path.read_bytes())
         if 0 in raw[:4]:  # version 4, of which SciPy's reader is in Python; the header of version 5 is text
-            from scipy.io import loadmat
+            from scipy.io import loadmat, whosmat
 
             pairs = loadmat(BytesIO(raw), spmatrix=False).items()
+            names = [name for name, *_ in whosmat(BytesIO(raw))]
         else:
             pairs = [*_read_5(path, raw)]
             names = [name for name, _ in pairs if "." not in name]
-            if len(set(names)) < len(names):
-                raise ValueError("a variable is there twice")
+        if len(set(names)) < len(names):
+            raise ValueError("a variable is there twice")
         return {name: value for name, value in pairs if name and not name.startswith("__")}
     except Exception as error:  # each damaged file fails in its own way
         kind = "a MATLAB .mat" if path.suffix.lower() == ".mat" else "an HDF5"
@@ -133,7 +134,10 @@ def _compressed(n_rows: int, starts: np.ndarray, rows: np.ndarray, data: np.ndar
     from scipy import sparse
 
     n_entries = int(starts[-1])
-    places = rows[:n_entries].astype(np.int64), starts.astype(np.int64)
+    given = rows[:n_entries], starts
+    places = [x.astype(np.int64) for x in given]
+    if any((x != whole).any() for x, whole in zip(given, places, strict=True)):
+        raise ValueError("places in a sparse matrix must be whole numbers")
     matrix = sparse.csc_array((data[:n_entries], *places), shape=(int(n_rows), starts.size - 1))
     matrix.check_format()
     return matrix

@@ -19,4 +19,4 @@ class CubicGroup(Group):
     """Chains in lanes, of this law."""
 
 
-register(Cubic, polynomial(CubicGroup, (3,), order=9))
+register(Cubic, polynomial(CubicGroup, 3, order=9))

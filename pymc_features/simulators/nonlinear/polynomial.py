@@ -1,4 +1,4 @@
-"""Springs that harden with odd powers of their drift, f = k d + sum_j c_j d^p_j: the law of some powers."""
+"""A spring that hardens with an odd power of its drift, f = k d + c d^p: the law of a power p."""
 
 import numpy as np
 
@@ -15,99 +15,83 @@ from pymc_features.simulators.taylor.series import (
     write_coefficient,
 )
 
-STIFFNESS, COEFFICIENTS = 0, 1  # constants: k, then each c_j
-DRIFTS, SQUARES = 0, 1  # series: d, d^2, d^4, d^6 ...
+STIFFNESS, COEFFICIENT = range(2)  # constants
+DRIFTS, SQUARES = range(2)  # series: d, d^2, and behind them d^4, d^6 ... d^(p - 1)
+POWERS_BAR, FORCES = range(2)  # series of bars: of (d^p)_k / c, then of the force
 
 
-def polynomial(
-    group: type[Group], powers: tuple[int, ...], order: int = 10, tolerance: float = 6e-8
-) -> Functions:
-    """The law with these powers, odd and ascending, whose parameters are the c_j in their order.
+def polynomial(group: type[Group], power: int, order: int = 10, tolerance: float = 6e-8) -> Functions:
+    """The law with this power, whose parameter is the coefficient c [N/m^p], not negative.
 
     Parameters
     ----------
     group : type
         A subclass of `Group` for this law alone, at the top of its module.
-    powers : tuple of int
-        p_j, three or more.
+    power : int
+        p, an odd number from three on.
     order, tolerance
-        As of `Series`. 9 is as fast as 10 for cubes.
+        As of `Series`.
     """
-    n, highest = len(powers), powers[-1] // 2
+    n_even = power // 2  # series of even powers, of which the last is d^(p - 1)
 
     def spring(law, row, stiffness, drift, rate, z, branch):
-        """Force; there is no internal variable."""
-        squared, secant = drift * drift, stiffness
-        for j in range(n):
-            even = squared
-            for _ in range(powers[j] // 2 - 1):
-                even = even * squared
-            secant = secant + parameter(law, j, row) * even
-        return drift * secant, splat(0.0)
+        """f = k d + c d^p; there is no internal variable."""
+        squared = drift * drift
+        even = squared
+        for _ in range(n_even - 1):
+            even = even * squared
+        return drift * (stiffness + parameter(law, 0, row) * even), splat(0.0)
 
     def step_rate(law, row, stiffness, omega, drift, rate, acceleration):
-        """Growth of the frequency with the tangent stiffness k + sum_j p c d^(p - 1), now and soon."""
-        size, growth = magnitude(drift), splat(0.0)
-        for j in range(n):
-            hardening = square_root(float(powers[j]) * parameter(law, j, row) / stiffness)
-            for _ in range(powers[j] // 2 - 1):
-                hardening = hardening * size
-            growth = growth + hardening * (omega * size + 0.5 * (powers[j] - 1) * magnitude(rate))
-            growth = growth + square_root(hardening * magnitude(acceleration))
-        return growth
+        """Growth of the frequency with the tangent stiffness k + p c d^(p - 1), now, soon, and from rest."""
+        hardening = square_root(float(power) * parameter(law, 0, row) / stiffness)
+        for _ in range(n_even - 1):
+            hardening = hardening * magnitude(drift)
+        growth = hardening * (omega * magnitude(drift) + float(n_even) * magnitude(rate))
+        return growth + square_root(hardening * magnitude(acceleration))
 
     def is_admissible(law, i):
         """A hardening spring."""
-        possible = True
-        for j in range(n):
-            possible &= 0.0 <= single(law, j, i) < np.inf
-        return possible
+        return 0.0 <= single(law, 0, i) < np.inf
 
     def has_kinks(law):
         """A polynomial has none."""
         return False
 
     def expand(spring, k, drift, rate):
-        """f_k = k d_k + sum_j c_j (d d^(p - 1))_k."""
+        """f_k = k d_k + c (d d^(p - 1))_k."""
         write_coefficient(spring, DRIFTS, k, drift)
         write_coefficient(spring, SQUARES, k, square(spring, DRIFTS, k))
-        for m in range(1, highest):
+        for m in range(1, n_even):
             write_coefficient(spring, SQUARES + m, k, product(spring, m, SQUARES, k))
-        force = constant_of(spring, STIFFNESS) * drift
-        for j in range(n):
-            own = product(spring, DRIFTS, powers[j] // 2, k)
-            force = force + constant_of(spring, COEFFICIENTS + j) * own
-        return force
+        own = product(spring, DRIFTS, n_even, k)
+        return constant_of(spring, STIFFNESS) * drift + constant_of(spring, COEFFICIENT) * own
 
     def reverse(spring, bars, k, force):
-        """With fbar: dbar_k = k fbar_k + sum_j p c (fbar and d^(p - 1) correlated)_k, a series each."""
-        total = constant_of(spring, STIFFNESS) * force
-        for j in range(n):
-            own = correlation(bars, n, spring, powers[j] // 2, k)
-            write_coefficient(bars, j, k, own)
-            total = total + float(powers[j]) * constant_of(spring, COEFFICIENTS + j) * own
-        return total, splat(0.0), splat(0.0)
+        """With fbar: dbar_k = k fbar_k + p c sum_j fbar_j (d^(p - 1))_j-k."""
+        own = correlation(bars, FORCES, spring, n_even, k)
+        write_coefficient(bars, POWERS_BAR, k, own)
+        tangent = float(power) * constant_of(spring, COEFFICIENT)
+        return constant_of(spring, STIFFNESS) * force + tangent * own, splat(0.0), splat(0.0)
 
     def reverse_sums(spring, bars, drift, loading, sign):
-        """Add kbar = sum_k fbar_k d_k, and that of each c_j."""
-        by_stiffness = splat(0.0)
+        """kbar = sum_k fbar_k d_k, cbar = sum_jk fbar_j (d^(p - 1))_j-k d_k."""
+        by_stiffness = by_coefficient = splat(0.0)
         for k in range(order):
-            by_stiffness = by_stiffness + coefficient(bars, n, k) * coefficient(spring, DRIFTS, k)
+            own = coefficient(spring, DRIFTS, k)
+            by_stiffness = by_stiffness + coefficient(bars, FORCES, k) * own
+            by_coefficient = by_coefficient + coefficient(bars, POWERS_BAR, k) * own
         add_constant(bars, STIFFNESS, by_stiffness)
-        for j in range(n):
-            total = splat(0.0)
-            for k in range(order):
-                total = total + coefficient(bars, j, k) * coefficient(spring, DRIFTS, k)
-            add_constant(bars, COEFFICIENTS + j, total)
+        add_constant(bars, COEFFICIENT, by_coefficient)
 
     series = Series(
         order=order,
         tolerance=tolerance,
-        n_series=1 + highest,
-        n_constants=1 + n,
-        serves=lambda values: ((values[:n] >= 0.0) & (values[:n] < np.inf)).all(axis=0),
-        constants=lambda stiffness, values: [stiffness, *values[:n]],
+        n_series=1 + n_even,
+        n_constants=2,
+        serves=lambda values: (values[0] >= 0.0) & (values[0] < np.inf),
+        constants=lambda stiffness, values: [stiffness, values[0]],
         expand=expand,
-        adjoint=Adjoint(n, reverse, reverse_sums),
+        adjoint=Adjoint(FORCES, reverse, reverse_sums),
     )
-    return Functions(n, spring, step_rate, is_admissible, has_kinks, {group: series})
+    return Functions(1, spring, step_rate, is_admissible, has_kinks, {group: series})
