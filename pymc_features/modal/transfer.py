@@ -1,0 +1,392 @@
+"""Modes fitted to responses with known input: frequency response functions, or channels and their excitation.
+
+At s = decay + 2 pi i f, the response a to inputs X_r is
+
+    Y_a = sum_n p_na sum_r p_nr X_r g_n + sum_r (c_ar + d_ar s^2) s^(q - 2) X_r,    g_n = s^q / (s^2 + 2 zeta_n w_n s + w_n^2),
+
+with q = 2 for accelerations, 1 for velocities, 0 for displacements. The real c and d stand for modes below and
+above the lines; they follow from the lines, and are integrated out. What a record that is cut at T lacks of a
+response to a blow is subtracted in closed form; of a record that neither begins nor ends at rest each mode has a
+free decay more, whose two amplitudes are fitted.
+
+The modes q = (ln w, ln zeta, p_r, p_a) are fitted once, by Gauss and Newton, to all lines. With their
+information matrix they stand for the data: ln L(q) = ln L(q_0) - (q - q_0)' Lambda (q - q_0) / 2.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import norm, t
+
+POWERS = {"accelerance": 2, "mobility": 1, "receptance": 0}
+RATIOS = np.geomspace(1e-5, 0.1, 13)  # of damping, among which that of a further mode is sought
+STEP = 1e-3  # of differences: of ln zeta, and of ln w in units of zeta
+STEPS, ENOUGH = 60, 1e-3  # of a fit at most, and gain of log-likelihood below which it ends,
+ROUGHLY = 1.0  # and while modes are sought
+DRIFT, LARGE, FEWEST = (
+    2e-5,
+    1e-3,
+    3,
+)  # of ln w between two references, of what is free; references that tell it
+UNKNOWN = 1e-11  # of the largest relative eigenvalue of an information
+FORGOTTEN = (
+    30.0  # natural logarithm by which a response has decayed at the end of a record that shows nothing of it
+)
+MOST = 30  # modes
+BEYOND = -2, 0  # powers of s beside s^q of the terms for modes beyond the lines
+SMOOTHED = 40  # the level of errors is averaged over this part of the lines, where it is not known
+SAME = 0.9  # MAC of two modes that are one
+WIDEST, NARROW = (
+    0.1,
+    0.1,
+)  # damping ratio, and part of the distance of lines, of what is no mode: noise, or the rest
+
+
+class Lines(NamedTuple):
+    """Lines of a spectrum, and the record that they are of."""
+
+    frequencies: np.ndarray  # (k,) [Hz]
+    power: int  # a value of `POWERS`
+    decay: float = 0.0  # of an exponential window [1/s]
+    duration: float = np.inf  # of the record [s]
+    dt: float = np.nan  # [s]
+    blow: float = np.nan  # instant of the blow [s]; NaN for other excitations
+    decays: bool = False  # whether records neither begin nor end at rest
+
+    @property
+    def s(self) -> np.ndarray:
+        """Laplace's variable (k,) [rad/s]."""
+        return self.decay + 2j * np.pi * self.frequencies
+
+
+class Experiment(NamedTuple):
+    """Transforms of what acted at once, and of what followed; the input of a response function is one."""
+
+    inputs: np.ndarray  # numbers (i,) of the references that acted
+    excitation: np.ndarray  # (i, k)
+    response: np.ndarray  # (a, k)
+    variance: np.ndarray | None = None  # E|error|^2 (a, k), None if it is not known
+
+
+class TransferModes(NamedTuple):
+    """Modes, and what the lines say of them and of all else."""
+
+    natural: np.ndarray  # (n,) [rad/s]
+    ratios: np.ndarray  # (n,)
+    inputs: np.ndarray  # p_r (n, r)
+    outputs: np.ndarray  # p_a (n, a)
+    rest: np.ndarray  # (a, r, 2), of the terms of `BEYOND`, over their root mean squares
+    ends: np.ndarray  # amplitudes of free decays (experiment, n, 2), of no experiment where there are none
+
+    @property
+    def table(self) -> np.ndarray:
+        """q (n, 2 + r + a)."""
+        logs = np.log(np.stack([self.natural, self.ratios], axis=1))
+        return np.concatenate([logs, self.inputs, self.outputs], axis=1)
+
+    def seen(self, lines: Lines) -> np.ndarray:
+        """Whether each is a mode whose peak lies among the lines (n,); the others stand for what is beside."""
+        f, (low, high) = self.natural / (2.0 * np.pi), lines.frequencies[[0, -1]]
+        narrow = 2.0 * self.ratios * f < NARROW * np.min(np.diff(lines.frequencies))
+        return (low < f) & (f < high) & (self.ratios < WIDEST) & ~narrow
+
+    def moved(self, step) -> "TransferModes":
+        """Modes after a step (k,) of all unknowns."""
+        r = self.inputs.shape[1]
+        of_modes, of_rest, of_ends = np.split(step, np.cumsum([self.table.size, self.rest.size]))
+        of_modes = of_modes.reshape(self.table.shape)
+        of_modes[:, :2] = of_modes[:, :2].clip(-0.3, 0.3)
+        table = self.table + of_modes
+        return TransferModes(
+            *np.exp(table[:, :2].T),
+            table[:, 2 : 2 + r],
+            table[:, 2 + r :],
+            self.rest + of_rest.reshape(self.rest.shape),
+            self.ends + of_ends.reshape(self.ends.shape),
+        )
+
+    def balanced(self) -> "TransferModes":
+        """The same with p_r and p_a of one root mean square, and the largest p_a positive."""
+        size = [np.sqrt(np.mean(x**2, axis=1, keepdims=True)) for x in (self.inputs, self.outputs)]
+        largest = np.take_along_axis(self.outputs, np.abs(self.outputs).argmax(axis=1)[:, None], axis=1)
+        scale = np.sqrt(size[1] / size[0]) * np.sign(largest)
+        ends = self.ends * np.abs(scale) * np.sign(largest)
+        return self._replace(inputs=self.inputs * scale, outputs=self.outputs / scale, ends=ends)
+
+
+class TransferFit(NamedTuple):
+    """Modes fitted to lines, with the information in these."""
+
+    modes: TransferModes
+    information: np.ndarray  # Lambda of q, with all else integrated out (n (2 + r + a),) * 2
+    log_likelihood: float
+    chi2: float  # mean square of the residuals, over the variance of their real and imaginary parts
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """That of q; the scale of p_r against p_a, of which the lines know nothing, has none."""
+        return with_pseudo_inverse(self.information)
+
+
+def unit_responses(natural, ratios, lines: Lines) -> np.ndarray:
+    """g (n, k) of modes of unit mass, less what a record that is cut lacks of the response to a blow."""
+    w, z, s = natural[:, None], ratios[:, None], lines.s
+    found = s**lines.power / (s**2 + 2.0 * z * w * s + w**2)
+    if np.isfinite(lines.blow) and np.isfinite(lines.duration):
+        rest = lines.duration - lines.blow
+        rings = np.flatnonzero(ratios * natural * rest < FORGOTTEN)
+        for pole in poles(w[rings], z[rings]):
+            left = pole**lines.power / (2j * pole.imag) * np.exp((pole - s) * rest)
+            found[rings] -= left * sampled(s - pole, lines.dt)
+    return found
+
+
+def poles(w, z) -> tuple[np.ndarray, np.ndarray]:
+    """Both poles of modes [rad/s]."""
+    pole = -z * w + 1j * w * np.sqrt(1.0 - z**2)
+    return pole, pole.conj()
+
+
+def sampled(x, dt) -> np.ndarray:
+    """Transform of exp(-x t), t >= 0, as a sum over samples."""
+    return dt / (1.0 - np.exp(-x * dt))
+
+
+def free_decays(natural, ratios, lines: Lines) -> np.ndarray:
+    """Transforms (2, n, k) of a cosine and a sine that decay from the start of the record."""
+    one, other = (sampled(lines.s - pole, lines.dt) for pole in poles(natural[:, None], ratios[:, None]))
+    return np.stack([0.5 * (one + other), 0.5j * (other - one)])
+
+
+def residual_terms(lines: Lines) -> np.ndarray:
+    """Transforms (2, k), of root mean square one, of modes below and above the lines."""
+    terms = np.stack([lines.s ** float(lines.power + j) for j in BEYOND])
+    return terms / np.sqrt(np.mean(np.abs(terms) ** 2, axis=1, keepdims=True))
+
+
+def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Lines, drift=0.0, gain=0.0):
+    """Log-likelihood, chi2, gradient and information of all unknowns: q, rest, decays, drifts, gains.
+
+    `drift` is the standard deviation of ln w of all modes from one reference to the next, `gain` that of the
+    logarithm of the sensitivity of each sensor.
+    """
+    w, z, p_in, p_out, rest, ends = modes
+    (n, n_in), n_out = p_in.shape, p_out.shape[1]
+    at, at_rest = np.arange(n), np.arange(len(BEYOND))
+    g = unit_responses(w, z, lines)
+    of_w = STEP * z
+    by_w = unit_responses(w * np.exp(of_w), z, lines) - unit_responses(w * np.exp(-of_w), z, lines)
+    by_z = unit_responses(w, z * np.exp(STEP), lines) - unit_responses(w, z * np.exp(-STEP), lines)
+    columns = np.concatenate([g, by_w / (2.0 * of_w[:, None]), by_z / (2.0 * STEP), residual_terms(lines)])
+    width, size = 2 + n_in + n_out, n * (2 + n_in + n_out)
+    first_rest, first_end = size, size + rest.size
+    first_drift = first_end + ends.size
+    total = first_drift + (n_in if drift else 0) + (n_in + n_out if gain else 0)
+    information, gradient, log_likelihood, square, count = (
+        np.zeros((total, total)),
+        np.zeros(total),
+        0.0,
+        0.0,
+        0,
+    )
+    for e, experiment in enumerate(experiments):
+        basis = np.concatenate([x * columns for x in experiment.excitation])
+        if lines.decays:
+            basis = np.concatenate([basis, *free_decays(w, z, lines)])
+        for a, (y, v) in enumerate(zip(experiment.response, experiment.variance, strict=True)):
+            to, linear = np.zeros((len(basis), total)), np.zeros(len(basis))
+            for i, r in enumerate(experiment.inputs):
+                start, both = i * len(columns), p_out[:, a] * p_in[:, r]
+                of_g, of_rest = start + at, start + 3 * n
+                linear[of_g], linear[of_rest : of_rest + len(BEYOND)] = both, rest[a, r]
+                to[of_g, at * width + 2 + r] = p_out[:, a]
+                to[of_g, at * width + 2 + n_in + a] = p_in[:, r]
+                to[of_g + n, at * width] = to[of_g + 2 * n, at * width + 1] = both
+                to[of_rest + at_rest, first_rest + len(BEYOND) * (a * n_in + r) + at_rest] = 1.0
+                if drift:
+                    to[of_g + n, first_drift + r] = both
+                if gain:
+                    to[of_g, total - n_out - n_in + r] = to[of_g, total - n_out + a] = both
+            if lines.decays:
+                for j in range(2):
+                    rows = len(basis) - (2 - j) * n + at
+                    linear[rows] = p_out[:, a] * ends[e, :, j]
+                    to[rows, at * width + 2 + n_in + a] = ends[e, :, j]
+                    to[rows, first_end + (e * n + at) * 2 + j] = p_out[:, a]
+            off = y - linear @ basis
+            root = np.sqrt(2.0 / v)
+            scaled, rest_scaled = np.multiply(basis, root).view(np.float64), (off * root).view(np.float64)
+            information += to.T @ (scaled @ scaled.T) @ to
+            gradient += to.T @ (scaled @ rest_scaled)
+            square += 0.5 * rest_scaled @ rest_scaled
+            log_likelihood -= 0.5 * rest_scaled @ rest_scaled + np.sum(np.log(v))
+            count += off.size
+    priors = [*[drift] * (n_in if drift else 0), *[gain] * (n_in + n_out if gain else 0)]
+    information[first_drift:, first_drift:] += np.diag(np.array(priors) ** -2.0)
+    return log_likelihood, square / count, gradient, information
+
+
+def climbed(modes: TransferModes, experiments, lines, enough=ENOUGH):
+    """The most likely modes uphill from some, and `quadratic` there, by Levenberg's and Marquardt's method."""
+    damping, here = 1e-3, quadratic(modes, experiments, lines)
+    for _ in range(STEPS):
+        _, _, gradient, information = here
+        scale = np.sqrt(np.diag(information)).clip(min=np.finfo(float).tiny)
+        relative = information / np.outer(scale, scale) + (damping + 1e-9) * np.eye(len(scale))
+        moved = modes.moved(np.linalg.solve(relative, gradient / scale) / scale)
+        there = quadratic(moved, experiments, lines)
+        gain = there[0] - here[0]
+        if gain > 0.0:
+            modes, here, damping = moved, there, damping / 30.0
+            if gain < enough:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+    return modes, here
+
+
+def residuals(modes: TransferModes, experiments, lines) -> list[np.ndarray]:
+    """What modes leave of the responses (a, k) of each experiment."""
+    g, terms = unit_responses(modes.natural, modes.ratios, lines), residual_terms(lines)
+    decays = free_decays(modes.natural, modes.ratios, lines) if lines.decays else None
+    found = []
+    for i, e in enumerate(experiments):
+        forces = modes.inputs[:, e.inputs] @ e.excitation
+        rest = np.einsum("ait,tk,ik->ak", modes.rest[:, e.inputs], terms, e.excitation)
+        decay = np.einsum("nj,jnk->nk", modes.ends[i], decays) if lines.decays else 0.0
+        found.append(e.response - modes.outputs.T @ (forces * g + decay) - rest)
+    return found
+
+
+def with_level(experiments, off, smoothed: bool) -> list[Experiment]:
+    """Experiments with the level of errors that residuals show: of each response, or along the lines."""
+    found = []
+    for e, rest in zip(experiments, off, strict=True):
+        power = np.abs(rest) ** 2
+        level = np.mean(power, axis=1, keepdims=True)
+        if smoothed:
+            size = max(1, power.shape[1] // SMOOTHED)
+            level = np.maximum(uniform_filter1d(power, size, axis=1, mode="nearest"), 1e-3 * level)
+        found.append(e._replace(variance=np.broadcast_to(level, power.shape)))
+    return found
+
+
+def further_mode(modes: TransferModes, experiments, lines) -> TransferModes | None:
+    """Modes with one more, which takes most of what they leave; None where nothing is left."""
+    off = residuals(modes, experiments, lines)
+    weights = [2.0 / e.variance for e in experiments]
+    power = sum((w * np.abs(x) ** 2).sum(axis=0) for w, x in zip(weights, off, strict=True))
+    peak = int(power.argmax())
+    low, high = np.interp([peak - 1, peak + 1], np.arange(len(power)), lines.frequencies)
+    w, z = (x.ravel() for x in np.meshgrid(2.0 * np.pi * np.linspace(low, high, 9), RATIOS))
+    g = unit_responses(w, z, lines)
+    shape = len(w), modes.outputs.shape[1], modes.inputs.shape[1]
+    above, below = np.zeros(shape), np.zeros(shape)
+    for e, weight, x in zip(experiments, weights, off, strict=True):
+        for r, acted in zip(e.inputs, e.excitation, strict=True):
+            both = g * acted
+            above[..., r] += (both.conj() @ (weight * x).T).real
+            below[..., r] += np.abs(both) ** 2 @ weight.T
+    best = int(np.sum(above**2 / below, axis=(1, 2)).argmax())
+    left, size, right = np.linalg.svd(above[best] / below[best], full_matrices=False)
+    root = np.sqrt(size[0])
+    add = [w[best : best + 1], z[best : best + 1], root * right[:1], root * left[:, :1].T]
+    table = [np.concatenate(pair) for pair in zip(modes[:4], add, strict=True)]
+    return TransferModes(*table, modes.rest, np.pad(modes.ends, ((0, 0), (0, 1), (0, 0)))).balanced()
+
+
+def is_double(modes: TransferModes, number: int) -> bool:
+    """Whether a mode is another one once more."""
+    f, shape = modes.natural / (2.0 * np.pi), modes.outputs[number]
+    others = np.arange(len(f)) != number
+    near = np.abs(f - f[number]) < 2.0 * (modes.ratios + modes.ratios[number]) * f[number]
+    mac = (modes.outputs @ shape) ** 2 / np.sum(modes.outputs**2, axis=1) / (shape @ shape)
+    return bool(np.any(others & near & (mac > SAME)))
+
+
+def fit_modes(
+    experiments: Sequence[Experiment], lines: Lines, n_modes: int | None = None, *, gain=0.0
+) -> TransferFit:
+    """The modes that lines show, one after the other, the strongest first, and all together at the end.
+
+    Without `n_modes` the last is one that raises the log-likelihood by more than the Bayesian information
+    criterion asks of so many numbers, and is a mode of its own.
+    """
+    n_in, n_out = 1 + max(int(e.inputs.max()) for e in experiments), len(experiments[0].response)
+    unknown = any(e.variance is None for e in experiments)
+    none = np.zeros((0, n_in)), np.zeros((0, n_out))
+    modes = TransferModes(
+        np.zeros(0),
+        np.zeros(0),
+        *none,
+        np.zeros((n_out, n_in, len(BEYOND))),
+        np.zeros((len(experiments) * lines.decays, 0, 2)),
+    )
+
+    def fitted(modes, smoothed=False):
+        known = experiments
+        if unknown:
+            known = with_level(experiments, residuals(modes, experiments, lines), smoothed)
+        modes, here = climbed(modes, known, lines, ENOUGH if smoothed else ROUGHLY)
+        if unknown:  # the likelihood with the level that is left
+            left = with_level(experiments, residuals(modes, experiments, lines), smoothed)
+            here, known = quadratic(modes, left, lines), left
+        return modes, here, known
+
+    modes, here, known = fitted(modes)
+    charge = 0.5 * (1 + n_in + n_out) * np.log(2.0 * sum(e.response.size for e in experiments))
+    while len(modes.natural) < MOST and modes.seen(lines).sum() < (n_modes or MOST):
+        more, there, of_more = fitted(further_mode(modes, known, lines))
+        if unknown:
+            more, there, of_more = fitted(more)
+        new = len(more.natural) - 1
+        if n_modes is None and (there[0] - here[0] < charge or is_double(more, new)):
+            break
+        modes, here, known = more, there, of_more
+    for _ in range(3 if unknown else 1):
+        modes, here, known = fitted(modes, smoothed=True)
+    order = np.lexsort([modes.natural, ~modes.seen(lines)])
+    modes = TransferModes(*(x[order] for x in modes[:4]), modes.rest, modes.ends[:, order]).balanced()
+    log_likelihood, chi2, gradient, information = quadratic(
+        modes, known, lines, drift_between(modes, known, lines), gain
+    )
+    n, k = modes.seen(lines).sum(), modes.table.shape[1]
+    score, information = without_rest(gradient, information, n * k)
+    step = with_pseudo_inverse(information) @ score  # what drifts and sensitivities that differ move
+    table = modes.table[:n] + step.reshape(n, k)
+    modes = TransferModes(*np.exp(table[:, :2].T), *np.split(table[:, 2:], [n_in], axis=1), *modes[4:])
+    return TransferFit(modes, information, log_likelihood, chi2)
+
+
+def drift_between(modes: TransferModes, experiments, lines) -> float:
+    """Standard deviation of ln w from one reference to the next, wider as the few references that tell it ask."""
+    n = modes.inputs.shape[1]
+    if len(experiments) < max(n, FEWEST) or n < FEWEST:
+        return DRIFT * (len(experiments) == n > 1)
+    *_, gradient, information = quadratic(modes, experiments, lines, drift=LARGE)
+    order = np.r_[-n:0, : len(gradient) - n]
+    score, information = without_rest(gradient[order], information[np.ix_(order, order)], n)
+    covariance = np.linalg.inv(information)
+    off = covariance @ score
+    apart = np.eye(n) - 1.0 / n
+    scatter = off @ apart @ off / (n - 1) - np.trace(apart @ covariance @ apart) / (n - 1)
+    return np.sqrt(max(scatter, 0.0)) * t.ppf(0.95, n - 1) / norm.ppf(0.95)
+
+
+def without_rest(gradient, information, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and information of the first unknowns, with the others integrated out."""
+    rest, across = information[size:, size:], information[size:, :size]
+    scale = np.sqrt(np.diag(rest))
+    inner = np.linalg.solve(rest / np.outer(scale, scale), np.c_[across, gradient[size:]] / scale[:, None])
+    taken = (across / scale[:, None]).T @ inner
+    return gradient[:size] - taken[:, -1], information[:size, :size] - taken[:, :-1]
+
+
+def with_pseudo_inverse(information) -> np.ndarray:
+    """Covariance of an information; zero along what it knows nothing of, the scale of p_r against p_a."""
+    scale = np.sqrt(np.diag(information))
+    return np.linalg.pinv(information / np.outer(scale, scale), UNKNOWN, True) / np.outer(scale, scale)
