@@ -434,6 +434,9 @@ def tell(text: str) -> None:
 def model_values(model, variables) -> list[np.ndarray]:
     """Values of variables at the initial point of a model."""
     function = model.compile_fn(
-        model.replace_rvs_by_values(variables), mode="FAST_COMPILE", on_unused_input="ignore"
+        model.replace_rvs_by_values(variables),
+        inputs=model.value_vars,
+        mode="FAST_COMPILE",
+        on_unused_input="ignore",
     )
     return function(model.initial_point())

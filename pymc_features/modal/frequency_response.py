@@ -9,7 +9,7 @@ import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
 from pytensor.gradient import disconnected_type
-from pytensor.graph.basic import Apply
+from pytensor.graph.basic import Apply, Constant
 from pytensor.graph.op import Op
 from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor import TensorLike, TensorVariable
@@ -164,7 +164,7 @@ class FrequencyResponse:
             elif value is None:
                 scales[key] = pm.HalfNormal(f"{name}_{key}", SCALES[key])
             else:
-                scales[key] = as_tensor(value, key)
+                scales[key] = positive(key, value)
         q_0, root, parts = standardised(fit, is_force)
         n_out = fit.modes.outputs.shape[1]
         sigmas = pt.stack([pt.zeros(()) if x is None else x for x in scales.values()])
@@ -184,6 +184,14 @@ class FrequencyResponse:
                 "lines alone would give intervals that are too narrow. Leave `model_error` as it is."
             )
         return rv
+
+
+def positive(name, value) -> TensorVariable:
+    """A tensor (); a number is refused where it is not positive."""
+    tensor = as_tensor(value, name)
+    if tensor.ndim or (isinstance(tensor, Constant) and not 0.0 < tensor.data < np.inf):
+        raise ValueError(message(name, "positive and finite, one value", shown(value)))
+    return tensor
 
 
 def fit_of(observed, n_identified: int | None) -> TransferFit:
@@ -432,9 +440,13 @@ def warn_at_start(name, frequencies, observed, fit: TransferFit) -> None:
     """Name peaks without a mode, and modes without a peak, at the model's initial point."""
     model = pm.modelcontext(None)
     try:
-        [f] = model.compile_fn(
-            model.replace_rvs_by_values([frequencies]), mode="FAST_COMPILE", on_unused_input="ignore"
-        )(model.initial_point())
+        function = model.compile_fn(
+            model.replace_rvs_by_values([frequencies]),
+            inputs=model.value_vars,
+            mode="FAST_COMPILE",
+            on_unused_input="ignore",
+        )
+        [f] = function(model.initial_point())
     except Exception:  # what cannot be evaluated here is no error of the user's
         return
     low, high = observed["frequency"].values[[0, -1]]

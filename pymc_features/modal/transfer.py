@@ -308,6 +308,7 @@ def is_double(modes: TransferModes, number: int) -> bool:
     return bool(np.any(others & near & (mac > SAME)))
 
 
+@np.errstate(all="ignore")  # a step may lead anywhere; it is taken where the likelihood is a larger number
 def fit_modes(
     experiments: Sequence[Experiment], lines: Lines, n_modes: int | None = None, *, gain=0.0
 ) -> TransferFit:
@@ -344,7 +345,8 @@ def fit_modes(
         if unknown:
             more, there, of_more = fitted(more)
         new = len(more.natural) - 1
-        if n_modes is None and (there[0] - here[0] < charge or is_double(more, new)):
+        is_better = there[0] - here[0] > charge and not is_double(more, new)
+        if n_modes is None and not is_better:
             break
         modes, here, known = more, there, of_more
     for _ in range(3 if unknown else 1):
