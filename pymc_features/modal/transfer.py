@@ -38,6 +38,7 @@ MOST = 30  # modes
 BEYOND = -2, 0  # powers of s beside s^q of the terms for modes beyond the lines
 SMOOTHED = 40  # the level of errors is averaged over this part of the lines, where it is not known
 SAME = 0.9  # MAC of two modes that are one
+FAINT = 0.05  # of the power at its frequency: less of it belongs to no mode that is seen
 WIDEST, NARROW = (
     0.1,
     0.1,
@@ -85,12 +86,6 @@ class TransferModes(NamedTuple):
         """q (n, 2 + r + a)."""
         logs = np.log(np.stack([self.natural, self.ratios], axis=1))
         return np.concatenate([logs, self.inputs, self.outputs], axis=1)
-
-    def seen(self, lines: Lines) -> np.ndarray:
-        """Whether each is a mode whose peak lies among the lines (n,); the others stand for what is beside."""
-        f, (low, high) = self.natural / (2.0 * np.pi), lines.frequencies[[0, -1]]
-        narrow = 2.0 * self.ratios * f < NARROW * np.min(np.diff(lines.frequencies))
-        return (low < f) & (f < high) & (self.ratios < WIDEST) & ~narrow
 
     def moved(self, step) -> "TransferModes":
         """Modes after a step (k,) of all unknowns."""
@@ -299,6 +294,20 @@ def further_mode(modes: TransferModes, experiments, lines) -> TransferModes | No
     return TransferModes(*table, modes.rest, np.pad(modes.ends, ((0, 0), (0, 1), (0, 0)))).balanced()
 
 
+def are_seen(modes: TransferModes, experiments, lines: Lines) -> np.ndarray:
+    """Whether each mode is a peak among the lines (n,): the others stand for what is beside them, or are noise."""
+    f, (low, high) = modes.natural / (2.0 * np.pi), lines.frequencies[[0, -1]]
+    narrow = 2.0 * modes.ratios * f < NARROW * np.min(np.diff(lines.frequencies))
+    at = np.abs(lines.frequencies - f[:, None]).argmin(axis=1)
+    g = unit_responses(modes.natural, modes.ratios, lines)[np.arange(len(f)), at]
+    power, whole = np.zeros(len(f)), np.zeros(len(f))
+    for e in experiments:
+        forces = np.einsum("ni,in->n", modes.inputs[:, e.inputs], e.excitation[:, at])
+        power += np.abs(g * forces) ** 2 * np.sum(modes.outputs**2, axis=1)
+        whole += np.sum(np.abs(e.response[:, at]) ** 2, axis=0)
+    return (low < f) & (f < high) & (modes.ratios < WIDEST) & ~narrow & (power > FAINT * whole)
+
+
 def is_double(modes: TransferModes, number: int) -> bool:
     """Whether a mode is another one once more."""
     f, shape = modes.natural / (2.0 * np.pi), modes.outputs[number]
@@ -340,7 +349,7 @@ def fit_modes(
 
     modes, here, known = fitted(modes)
     charge = 0.5 * (1 + n_in + n_out) * np.log(2.0 * sum(e.response.size for e in experiments))
-    while len(modes.natural) < MOST and modes.seen(lines).sum() < (n_modes or MOST):
+    while len(modes.natural) < MOST and are_seen(modes, experiments, lines).sum() < (n_modes or MOST):
         more, there, of_more = fitted(further_mode(modes, known, lines))
         if unknown:
             more, there, of_more = fitted(more)
@@ -351,12 +360,12 @@ def fit_modes(
         modes, here, known = more, there, of_more
     for _ in range(3 if unknown else 1):
         modes, here, known = fitted(modes, smoothed=True)
-    order = np.lexsort([modes.natural, ~modes.seen(lines)])
+    order = np.lexsort([modes.natural, ~are_seen(modes, experiments, lines)])
     modes = TransferModes(*(x[order] for x in modes[:4]), modes.rest, modes.ends[:, order]).balanced()
     log_likelihood, chi2, gradient, information = quadratic(
         modes, known, lines, drift_between(modes, known, lines), gain
     )
-    n, k = modes.seen(lines).sum(), modes.table.shape[1]
+    n, k = are_seen(modes, experiments, lines).sum(), modes.table.shape[1]
     score, information = without_rest(gradient, information, n * k)
     step = with_pseudo_inverse(information) @ score  # what drifts and sensitivities that differ move
     table = modes.table[:n] + step.reshape(n, k)

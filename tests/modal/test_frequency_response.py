@@ -207,16 +207,21 @@ def test_draws_have_the_covariance_of_the_likelihood(model, data):
 
 
 @pytest.mark.statistical
-def test_the_posterior_holds_the_truth_and_resolution_does_not_narrow_it():
-    """Of a right model within 4 sds; from every fourth line hardly another interval."""
-    widths = []
-    for every in (1, 4):
-        data = measured(1e-3).isel(frequency=slice(None, None, every))
-        idata = pmf.sample(draws=500, chains=2, random_seed=1, progressbar=False, model=declare(data))
-        theta = idata["posterior"]["theta"].values.reshape(-1, 2)
-        assert np.all(np.abs(theta.mean(axis=0) - 1.0) < 4.0 * theta.std(axis=0) + 1e-4)
-        widths.append(np.ptp(np.quantile(idata["posterior"]["H_sigma_f"], [0.05, 0.95])))
-    assert 0.3 < widths[0] / widths[1] < 3.0
+def test_resolution_does_not_narrow_the_posterior():
+    """It holds the truth within 4 sds, and is as wide, within 15 %, from every fourth line. Control: by lines alone not."""
+    errors = {"sigma_f": 0.005, "sigma_zeta": 0.05, "sigma_phi": 0.02}
+    ratios = []
+    for settings in (errors, {"model_error": None}):
+        sds = []
+        for every in (1, 4):
+            data = measured(0.03).isel(frequency=slice(None, None, every))
+            with declare(data, **settings):
+                idata = pmf.sample(draws=300, chains=2, random_seed=1, progressbar=False)
+            theta = idata["posterior"]["theta"].values.reshape(-1, 2)
+            sds.append(theta.std(axis=0))
+            assert np.all(np.abs(theta.mean(axis=0) - 1.0) < 4.0 * sds[-1])
+        ratios.append(np.max(np.abs(np.log(sds[1] / sds[0]))))
+    assert ratios[0] < 0.15 < ratios[1]
 
 
 @pytest.mark.statistical
