@@ -47,6 +47,12 @@ def message(name: str, condition: str, got, advice: str = "") -> str:
     return f"`{name}` must be {condition}, got {got}.{' ' if advice else ''}{advice}"
 
 
+def require(holds, text: str) -> None:
+    """Refuse what does not hold, in a sentence."""
+    if not holds:
+        raise ValueError(text)
+
+
 def shown(value) -> str:
     """A value as a message has it: on one short line, whatever it is."""
     try:

@@ -11,6 +11,7 @@ their ratios stay what they were.
 
 from pymc_features.signals.channels import band_pass, correct, decimate, detrend, sampling_step, trim
 from pymc_features.signals.check import check_channels
+from pymc_features.signals.frequency_response import frequency_response
 from pymc_features.signals.spectra import low_frequency_gains
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "correct",
     "decimate",
     "detrend",
+    "frequency_response",
     "low_frequency_gains",
     "sampling_step",
     "trim",

@@ -1,0 +1,308 @@
+"""Frequency response functions of measured excitation and response, with the variance of every line.
+
+Y = H X + noise at each line of averages, which are blows or segments, with weights c:
+
+    S_xx = sum c X X^H,   S_yx = sum c Y X^H,   H1 = S_yx S_xx^-1,   H2 = H1 / gamma^2,   Hv = H1 / gamma
+    E|H1 - H|^2 = N (S_xx^-1)_aa,   N = sum c |Y - H1 X|^2 / (number of averages - references)
+
+A few averages do not tell N, neighbouring lines do so together. Blows noisier than others count less: 1/c is
+the mean over lines of |Y - H1 X|^2 / (N (1 - c X^H S_xx^-1 X)), of which the bracket is the fit to the blow.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
+
+from pymc_features._checks import (
+    as_list,
+    as_numbers,
+    check_choice,
+    check_finite,
+    check_positive,
+    message,
+    require,
+    shown,
+    step_or_rate,
+)
+from pymc_features.signals.channels import check_array, check_band, sampling_step, warn_channel
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+EXCITATIONS = {"N": "force", "m/s^2": "base"}  # by units, as the next; the first of bare arrays
+QUANTITIES = {"m/s^2": "accelerance", "m/s": "mobility", "m": "receptance"}
+#: Units of a function: those of excitation and response.
+RATIOS = {
+    f"{y}/{x}": (x.strip("()"), y.strip("()")) for x in ("N", "(m/s^2)") for y in ("(m/s^2)", "(m/s)", "m")
+}
+DIMS = "reference", "blow", "response", "time"
+HIT, SHORT = 0.1, 0.1  # of the peak of a force, above what filters ring; of a record, at most, is a blow
+FLAT_TOP = 3  # samples in a row at the extreme
+LINES = 100  # averages times lines for a variance, which has an error of 10 %
+STEPS, LEAST = 10, 1e-3  # in which weights of blows settle; level of a blow, at least, of the mean
+RANK = 1e-6  # least eigenvalue of S_xx of references of unit power
+HANN = 35.0 / 18.0, 1.0 / 36.0  # mean(w^4) / mean(w^2)^2; squared correlation of windows half over each other
+
+
+def frequency_response(
+    excitation: "ArrayLike | xr.DataArray | str | list[str]",
+    response: "ArrayLike | xr.DataArray",
+    *,
+    dt: float | None = None,
+    fs: float | None = None,
+    method: str = "H1",
+    units: str | None = None,
+    band: tuple[float, float] | None = None,
+    decay: float = 0.0,
+    segment: float | None = None,
+    leave_out: str | list[tuple[str, int]] = (),
+) -> xr.Dataset:
+    """Frequency response functions of a test with a hammer, with shakers, or under a motion of the base.
+
+    Parameters
+    ----------
+    excitation : array_like or DataArray (reference, blow, time), str or list of str
+        Forces [N] or accelerations of the base [m/s^2]; (blow, time) of one place; (reference, time), (time,)
+        of long records. Names are those of channels in `response`.
+    response : array_like or DataArray (reference, blow, response, time)
+        Or (blow, response, time), (response, time), (time,): without their dimension references act at the
+        same time. Blows of NaN are missing. DataArrays have these dimensions in any order, or (sensor, time).
+    dt, fs : float, optional
+        Sampling interval [s] or rate [Hz], positive; a coordinate `time` states it.
+    method : str
+        "H1": the noise is in the response. "H2": in the excitation. "Hv": alike in both.
+    units : str, optional
+        "(m/s^2)/N" (of bare arrays the default), "(m/s)/N", "m/N"; with "/(m/s^2)" in place of "/N" under a
+        motion of the base. `units` of DataArrays state it.
+    band : tuple of float, optional
+        (from, to) [Hz], all lines above 0 by default.
+    decay : float
+        sigma of an exponential window exp(-sigma t) over excitation and response [1/s]. It is stored, not
+        corrected for: models evaluated at sigma + 2 pi i f need no correction.
+    segment : float, optional
+        Duration [s] of Hann windows, half over each other, in long records. Else a record is an average.
+    leave_out : str or list of tuple
+        Pairs (reference, number of the blow, from 0), or "doubtful": whatever the warning names.
+
+    Returns
+    -------
+    xarray.Dataset (response, reference, frequency [Hz])
+        `frequency_response`, complex; of more averages than references at a time also `variance`, E|error|^2,
+        and `coherence`, the multiple one of several references. `attrs`: `quantity`, `excitation`, `units`,
+        `n_averages`, the least of a reference, `duration` of a record or segment [s], `dt` [s], `decay` [1/s]
+        and `blow`, the centroid of the blow [s], NaN where there is none.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If shapes, units or times contradict each other, or references are not independent of each other.
+
+    Warns
+    -----
+    ChannelWarning
+        If a blow hits twice, or a channel is overloaded (clipped).
+
+    Notes
+    -----
+    Lines under a window, or of records that end in zeros (padding), are correlated, and a likelihood that
+    counts each would be too narrow: `variance` is E|error|^2 of a line times `variance.attrs["factor"]`,
+    1/mean(w^2) of blows and mean(w^4)/mean(w^2)^2 = 1.94 of segments, 1 without window and padding.
+
+    `variance` says nothing of bias: noise of the excitation moves H1 by the factor coherence, that of the
+    response H2 by its inverse. A blow cut at T leaks, which a model repeats by `duration` and `blow`. In
+    segments of T under white noise the peak of a mode is low by (4/3)/(B T)^2, B = 2 zeta f: 1 % at B T = 12.
+
+    References
+    ----------
+    Bendat, J. S. and Piersol, A. G. (2010), Random Data, 4th ed., Wiley, sections 6.1 (H1, coherence), 7.1
+    (several inputs), 9.2 (errors), 11.5 (windows, overlap). Rocklin, G. T., Crowley, J. and Vold, H. (1985),
+    A comparison of the H1, H2 and Hv frequency response functions, Proc. 3rd IMAC.
+
+    Examples
+    --------
+    Two blows on a mass of 2 kg:
+
+    >>> force = np.array([[0.0, 1.0, 4.0, 1.0, 0.0, 0.0], [0.0, 2.0, 8.0, 2.0, 0.0, 0.0]])
+    >>> frf = frequency_response(force, force[:, None] / 2.0, fs=6.0)
+    >>> frf["frequency_response"].values.round(12).ravel()
+    array([0.5+0.j, 0.5+0.j, 0.5+0.j])
+    """
+    check_choice(method, "method", ("H1", "H2", "Hv"))
+    decay = check_positive(decay, "decay", "Pass 1/s.", allow_zero=True)
+    (forces, motions), labels, step, pair, together = _prepared(
+        excitation, response, step_or_rate(dt, fs), units
+    )
+    forces = forces.transpose(2, 1, 0, 3) if together else forces  # (set-up, blow, reference, time)
+    setups, n_times = [", ".join(labels[0])] if together else labels[0], forces.shape[3]
+    what = "of the references, blows and samples of `excitation`"
+    same = (len(setups), *forces.shape[1::2]) == (motions.shape[0], *motions.shape[1::2])
+    require(same, message("response", what, f"{motions.shape} beside {forces.shape}"))
+    one = method == "H1" or forces.shape[2] == 1
+    require(one, message("method", "H1 where several references act at the same time", method))
+    there = ~(np.isnan(forces).all((2, 3)) | np.isnan(motions).all((2, 3)))  # (set-up, blow)
+    for name, values in (("excitation", forces), ("response", motions)):
+        check_finite(values[there], name, "NaN is for whole blows that are missing.")
+    loud = np.abs(forces) > HIT * np.abs(forces).max(-1, keepdims=True)
+    is_blow = segment is None and forces.shape[2] == 1 and loud[there].mean() < SHORT
+    there &= ~_left_out(leave_out, setups, there, forces, motions, loud & is_blow)
+    if segment is None:
+        size, n_used = n_times, 1 + np.flatnonzero((motions[there] != 0.0).any((0, 1))).max(initial=0)
+        window, overlap = np.exp(-decay * step * np.arange(size)), 0.0
+        factor = size / (window[:n_used] ** 2).sum()  # behind what is used are zeros
+    else:
+        n_used = size = round(check_positive(segment, "segment", "Pass seconds.") / step)
+        what = f"8 samples or more within {n_times * step:g} s, and without `decay`"
+        fits = 8 <= size <= n_times and not decay
+        require(fits, message("segment", what, f"{segment:g} s and {decay:g} 1/s"))
+        window, (factor, overlap) = 0.5 - 0.5 * np.cos(2.0 * np.pi / size * np.arange(size)), HANN
+    frequency = np.fft.rfftfreq(size, step)
+    low, high = (0.5 * frequency[1], np.inf) if band is None else check_band(band, step)
+    lines = (low <= frequency) & (frequency <= high)
+    require(
+        lines.any(), message("band", f"wider than {frequency[1]:g} Hz between lines", f"({low:g}, {high:g})")
+    )
+    blow, counts, estimates = np.nan, [], []
+    for k, kept in enumerate(there):
+        X, Y = (_spectra(values[k, kept], window)[..., lines] for values in (forces, motions))
+        counts.append(len(X))
+        estimates.append(_estimate(X, Y, method, factor, overlap, setups[k]))
+    if is_blow:
+        pulses = np.abs(forces * loud)[there]
+        blow = float(step * (pulses @ np.arange(n_times) / pulses.sum(-1)).mean())
+    H, *rest = (np.concatenate(parts, axis=1) for parts in zip(*estimates, strict=True))
+    known = {"n_averages": min(counts), "duration": n_used * step, "dt": step, "decay": decay, "blow": blow}
+    data = dataset(H, labels, frequency[lines], pair, **known)
+    if min(counts) > forces.shape[2]:
+        dims = data["frequency_response"].dims
+        data["variance"], data["coherence"] = (dims, rest[0], {"factor": factor}), (dims, rest[1])
+    return data
+
+
+def dataset(values, labels, frequency, pair, **known) -> xr.Dataset:
+    """Functions (response, reference, frequency) of labelled references and responses, and what is known."""
+    attrs = {"quantity": QUANTITIES[pair[1]], "excitation": EXCITATIONS[pair[0]], "n_averages": 0}
+    attrs |= {"duration": np.nan, "dt": np.nan, "decay": 0.0, "blow": np.nan} | known
+    attrs["units"] = next(text for text, units in RATIOS.items() if units == tuple(pair))
+    coords = {
+        "response": labels[1],
+        "reference": labels[0],
+        "frequency": ("frequency", frequency, {"units": "Hz"}),
+    }
+    return xr.Dataset({"frequency_response": (("response", "reference", "frequency"), values)}, coords, attrs)
+
+
+def _prepared(excitation, response, step, units):
+    """Arrays (reference, blow, response, time), labels, step [s], units; whether references act together."""
+    names = [excitation] if isinstance(excitation, str) else as_list(excitation) or []
+    if names and all(isinstance(name, str) for name in names):
+        sensors = check_array(response, sensors=True)["sensor"].values.tolist()
+        require({*names} <= {*sensors}, message("excitation", f"among the channels {sensors}", names))
+        rest = [name for name in sensors if name not in names]
+        excitation, response = response.sel(sensor=names), response.sel(sensor=rest)
+    require(units is None or units in RATIOS, message("units", f"one of {', '.join(RATIOS)}", shown(units)))
+    places = ("reference", "time") if np.ndim(response) < 3 else ("reference", "blow", "time")
+    steps, found, labels, pair, together = [] if step is None else [step], [], [], [], False
+    given = (excitation, response), ("reference", "response"), (places, DIMS), (EXCITATIONS, QUANTITIES)
+    for k, (values, own, dims, said) in enumerate(zip(*given, strict=True)):
+        name = ("excitation", "response")[k]
+        if not isinstance(values, xr.DataArray):
+            values = as_numbers(values, name)
+            values = xr.DataArray(values, dims=dims[-values.ndim :])
+        if "sensor" in {*values.dims, *values.coords}:
+            values = values.rename(sensor=own)
+        known = "time" in values.dims and {*values.dims} <= {*DIMS}
+        require(known, message(name, f"an array of {', '.join(DIMS)}", values.dims))
+        if "time" in values.coords:
+            steps.append(sampling_step(xr.zeros_like(values["time"], dtype=float)))
+        stated = values.coords["units"].values if "units" in values.coords else values.attrs.get("units", [])
+        stated = {*map(str, np.ravel(stated)), *([RATIOS[units][k]] if units else [])} or {*list(said)[:1]}
+        what = f"those of the {name}, one of {', '.join(said)}"
+        require(len(stated) == 1 and stated <= {*said}, message("units", what, " and ".join(sorted(stated))))
+        together = "reference" not in values.dims
+        whole = values.expand_dims([dim for dim in DIMS if dim not in values.dims]).transpose(*DIMS)
+        labels.append(
+            [str(n) for n in (whole[own].values if own in whole.coords else range(whole.sizes[own]))]
+        )
+        found.append(whole.values.astype(np.float64))
+        pair += stated
+    same = bool(steps) and max(steps) <= 1.001 * min(steps)
+    require(same, message("dt", "given, and that of the coordinates `time`", f"{steps or None} s"))
+    return found, labels, check_positive(steps[0], "dt", "Pass seconds."), pair, together
+
+
+def _left_out(leave_out, setups, there, forces, motions, loud) -> np.ndarray:
+    """Which blows (set-up, blow) are not used; warn of those that are doubtful."""
+    doubts = {}
+    for k, n in np.argwhere(there):
+        pulses = _runs(loud[k, n, 0])
+        gaps = pulses[1:, 0] - pulses[:-1, 1]
+        hits = 1 + (gaps > 0.5 * np.diff(pulses).max(initial=0)).sum()  # shorter gaps are noise of one
+        over = sum(map(_is_clipped, (*forces[k, n], *motions[k, n])))
+        says = [f"{hits} hits"] * int(hits > 1) + [f"{over} of its channels overloaded"] * int(over > 0)
+        doubts |= {(setups[k], int(n)): " and ".join(says)} if says else {}
+    pairs = list(doubts) if leave_out == "doubtful" else [(str(a), int(n)) for a, n in leave_out]
+    known = all(a in setups and 0 <= n < there.shape[1] for a, n in pairs)
+    what = f'"doubtful" or pairs of a reference, {setups}, and a blow from 0 to {there.shape[1] - 1}'
+    require(known, message("leave_out", what, shown(leave_out)))
+    if told := [f"blow {n} of {a!r} has {text}" for (a, n), text in doubts.items() if (a, n) not in pairs]:
+        warn_channel(f'Doubtful: {"; ".join(told)}. Leave them out by leave_out="doubtful", or by pairs.')
+    return np.array([[(a, n) in pairs for n in range(there.shape[1])] for a in setups])
+
+
+def _runs(flags: np.ndarray) -> np.ndarray:
+    """First and one past the last place of each run of True (run, 2)."""
+    return np.flatnonzero(np.diff(np.r_[False, flags, False])).reshape(-1, 2)
+
+
+def _is_clipped(history: np.ndarray) -> bool:
+    """Whether a history stays at an extreme, beside which it moves by more than its resolution."""
+    jumps, middle = np.abs(np.diff(history, prepend=history[0], append=history[-1])), np.median(history)
+    extremes = [x for x in (history.max(), history.min()) if abs(x - middle) > 0.5 * history.std()]
+    flat = [run for x in extremes for run in _runs(history == x) if run[1] - run[0] >= FLAT_TOP]
+    return bool(flat) and jumps[flat].max() > 3.0 * np.diff(np.unique(history)).min()
+
+
+def _spectra(values: np.ndarray, window: np.ndarray) -> np.ndarray:
+    """Spectra (average, channel, line) of records (blow, channel, time), whole or in segments less mean."""
+    size, is_whole = window.size, window[0] > 0.0
+    if not is_whole:
+        parts = sliding_window_view(values, size, axis=-1)[:, :, :: size - size // 2].swapaxes(1, 2)
+        values = (parts - parts.mean(-1, keepdims=True)).reshape(-1, values.shape[1], size)
+    return np.fft.rfft(values * window)
+
+
+def _estimate(X, Y, method, factor, overlap, place) -> tuple[np.ndarray, ...]:  # noqa: N803  of a line
+    """Functions, variances, coherences (response, reference, line) of spectra (average, channel, line)."""
+    from scipy.ndimage import uniform_filter1d  # a second to import
+
+    n, m, n_lines = X.shape
+    power = np.einsum("nal,nbl->lab", X, X.conj())
+    scale = np.sqrt(np.einsum("laa->la", power).real)
+    full = n >= m and (scale > 0.0).all()
+    full = full and np.linalg.eigvalsh(power / (scale[:, None] * scale[:, :, None])).min() > RANK
+    what = f"present at all lines, and of independent references, in {n} averages"
+    advice = "Narrow `band`, shorten `segment`, or leave references out."
+    require(full, message("excitation", what, f"that of {place}", advice))
+    overlap = 1.0 + 2.0 * overlap * (n - 1) / n  # by which segments are fewer
+    rest, weights = max(n - m * overlap, 1e-9), np.ones((n, Y.shape[1]))
+    width = min(int(np.ceil(LINES * factor / rest)), n_lines)
+    for left in range(STEPS if n > m + 1 and overlap == 1.0 and width < n_lines else 0, -1, -1):
+        inverse = np.linalg.inv(np.einsum("np,nal,nbl->plab", weights, X, X.conj()))
+        H = np.einsum("np,npl,nal,plab->pbl", weights, Y, X.conj(), inverse, optimize=True)
+        residual = np.abs(Y - np.einsum("pbl,nbl->npl", H, X)) ** 2
+        unexplained = np.einsum("np,npl->pl", weights, residual)
+        noise = uniform_filter1d(unexplained / rest, width)
+        if left:
+            fit = np.einsum("np,nal,plab,nbl->npl", weights, X.conj(), inverse, X, optimize=True).real
+            level = residual / np.maximum(noise * (1.0 - fit), np.finfo(float).tiny)
+            weights = 1.0 / np.maximum(level.mean(-1), LEAST)
+    total = np.einsum("np,npl->pl", weights, np.abs(Y) ** 2)[:, None]
+    coherence = np.broadcast_to(1.0 - unexplained[:, None] / total, H.shape)
+    shape, noise = np.einsum("plaa->pal", inverse).real, noise[:, None]
+    if method != "H1":  # noise that is smooth in the excitation, or relative to the function
+        H = H / coherence if method == "H2" else H / np.sqrt(coherence)
+        shape = np.abs(H) ** 4 / total if method == "H2" else np.abs(H) ** 2
+        noise = uniform_filter1d(np.abs(H) ** 2 * (1.0 / coherence - 1.0) / (rest * shape), width)
+    return H, factor * overlap * noise * shape, coherence
