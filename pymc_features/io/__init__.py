@@ -2,6 +2,7 @@
 
 from pymc_features.io.channels import read_channels, read_channels_with_gaps
 from pymc_features.io.formats import FORMATS
+from pymc_features.io.frequency_response import read_frequency_response
 from pymc_features.io.matrices import read_matrices
 from pymc_features.io.records import read_cyclic_test, read_record
 from pymc_features.io.write import write_channels
@@ -11,6 +12,7 @@ __all__ = [
     "read_channels",
     "read_channels_with_gaps",
     "read_cyclic_test",
+    "read_frequency_response",
     "read_matrices",
     "read_record",
     "write_channels",

@@ -1,7 +1,7 @@
 """What other libraries read or hold: Universal Files, seismograms, TDMS, Parquet, HDF5, and data in memory.
 
-Of Universal Files time histories are read, data sets 58 in text or binary numbers (58b); frequency response
-functions and spectra, which stand in the same data sets, are refused. Identified modes are read by
+Of Universal Files time histories are read, data sets 58 in text or binary numbers (58b); spectra are
+refused, and frequency response functions left to `read_frequency_response`. Identified modes are read by
 `read_modal`.
 
 ObsPy is asked for SAC, MiniSEED and the text formats TSPAIR and SLIST by name, never to find it out: its
@@ -118,8 +118,8 @@ def _history(name: str, found: dict, raw: bytes) -> Channel:
     """The numbers of a data set on their clock."""
     if found["func_type"] != TIME_RESPONSE or np.iscomplexobj(found["data"]):
         raise ValueError(
-            f"functions must be time histories, type 1, got type {found['func_type']}. Identify the modes "
-            "from frequency response functions first."
+            f"functions must be time histories, type 1, got type {found['func_type']}. Read "
+            "frequency response functions by `io.read_frequency_response`."
         )
     values, times = np.asarray(found["data"], dtype=np.float64), np.asarray(found["x"], dtype=np.float64)
     n = found["num_pts"]

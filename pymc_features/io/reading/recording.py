@@ -280,7 +280,8 @@ def clock_column(columns: Columns, clock) -> int | None:
         if label.role in NO_HISTORY and (index == 0 or label.role == "spectral"):
             raise ValueError(
                 f"{columns.file} must be a history over time, got a column {label.text!r}. If it is one, "
-                "pass clock=False with `dt` and `columns`, or `clock`, the column with the times."
+                "pass clock=False with `dt` and `columns`, or `clock`, the column with the times. Read "
+                "frequency response functions by `io.read_frequency_response`."
             )
     if labelled := [index for index, label in enumerate(columns.labels) if label.role == "time"]:
         return labelled[0]
