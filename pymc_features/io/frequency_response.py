@@ -17,6 +17,7 @@ import numpy as np
 from pymc_features._checks import (
     as_list,
     check_file,
+    check_text,
     check_texts,
     listed,
     message,
@@ -81,14 +82,14 @@ def read_frequency_response(
     ----------
     files : path or sequence of paths
         Universal Files (data sets 58 of types 4, 5 and 6, coherence), text as of SignalCalc, CSV, MATLAB,
-        HDF5 or ``.npz``. Tables have a column of frequencies and complex numbers, real and imaginary parts,
-        or magnitudes and phases; arrays (response, reference, frequency), frequencies first or last, likewise.
+        HDF5 or ``.npz``. Tables have a column of frequencies and complex numbers, real and imaginary parts or
+        magnitudes and phases; arrays (response, reference, frequency) likewise, or frequencies first.
     units : str, optional
         A ratio such as "(m/s^2)/N", "g/N" or "mm/s/lbf"; "g/g" under a motion of the base.
     response, reference : str or sequence of str, optional
         Node and direction, "5:+z", or name of a channel: one for all, one for each function in their order,
-        or for each row and column of an array. Labels of columns and names of files state both, response
-        first: "5:+z/3:+z real", ``5+z_3+z.txt``.
+        or for each row and column of an array. Labels of columns, "5:+z/3:+z real", and names of files,
+        ``5+z_3+z.txt``, state both.
     columns : sequence of str, optional
         Labels of the columns of tables, such as "frequency [Hz]", "magnitude [dB re 1 g/N]", "phase [deg]".
 
@@ -118,6 +119,7 @@ def read_frequency_response(
     ...     read_frequency_response(path)["frequency_response"].values.round(9)
     array([[[98.1 +0.j ,  0. +98.1j]]])
     """
+    units = None if units is None else check_text(units, "units", 'Pass a ratio such as "(m/s^2)/N".')
     paths = [files] if isinstance(files, str | PathLike) else as_list(files) or []
     found = [function for path in paths for function in _read(check_file(path, "files"), columns)]
     _must(found, "`files`", "be a path, or several", shown(files), "Name files.")
@@ -218,7 +220,10 @@ def _table(path: Path, columns) -> list[Function]:
         labels, values = (table := read_columns(path, Request())).labels, table.values
         units = next((line.split("\t")[1].strip() for line in lines[:60] if line.startswith("Hz\t")), "")
     said = listed([label.text for label in labels if label.text])
-    given = [Label.of(text) for text in check_texts(columns or [], "columns", "labels of columns")]
+    given = [
+        Label.of(text)
+        for text in check_texts([] if columns is None else columns, "columns", "labels of columns")
+    ]
     for a, b in zip(labels, given, strict=False):
         alike = all(not x or not y or x == y for x, y in ((_part(a), _part(b)), (a.unit, b.unit)))
         _must(alike, "`columns`", f"say what {path.name} does, {a.text!r}", repr(b.text), "Leave them out.")

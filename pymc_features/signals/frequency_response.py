@@ -201,7 +201,11 @@ def _prepared(excitation, response, step, units):
         require({*names} <= {*sensors}, message("excitation", f"among the channels {sensors}", names))
         rest = [name for name in sensors if name not in names]
         excitation, response = response.sel(sensor=names), response.sel(sensor=rest)
-    require(units is None or units in RATIOS, message("units", f"one of {', '.join(RATIOS)}", shown(units)))
+    axes = [v.coords if isinstance(v, xr.DataArray) else {} for v in (excitation, response)]
+    if all("reference" in coords and coords["reference"].ndim for coords in axes):  # in any order
+        response = response.sel(reference=axes[0]["reference"].values)
+    if units is not None:
+        check_choice(units, "units", RATIOS)
     places = ("reference", "time") if np.ndim(response) < 3 else ("reference", "blow", "time")
     steps, found, labels, pair, together = [] if step is None else [step], [], [], [], False
     given = (excitation, response), ("reference", "response"), (places, DIMS), (EXCITATIONS, QUANTITIES)
@@ -209,6 +213,8 @@ def _prepared(excitation, response, step, units):
         name = ("excitation", "response")[k]
         if not isinstance(values, xr.DataArray):
             values = as_numbers(values, name)
+            fits = 0 < values.ndim <= len(dims)
+            require(fits, message(name, f"an array ({', '.join(dims)})", f"shape {values.shape}"))
             values = xr.DataArray(values, dims=dims[-values.ndim :])
         if "sensor" in {*values.dims, *values.coords}:
             values = values.rename(sensor=own)
@@ -242,13 +248,14 @@ def _left_out(leave_out, setups, there, forces, motions, loud) -> np.ndarray:
         over = sum(map(_is_clipped, (*forces[k, n], *motions[k, n])))
         says = [f"{hits} hits"] * int(hits > 1) + [f"{over} of its channels overloaded"] * int(over > 0)
         doubts |= {(setups[k], int(n)): " and ".join(says)} if says else {}
-    pairs = list(doubts) if leave_out == "doubtful" else [(str(a), int(n)) for a, n in leave_out]
-    known = all(a in setups and 0 <= n < there.shape[1] for a, n in pairs)
-    what = f'"doubtful" or pairs of a reference, {setups}, and a blow from 0 to {there.shape[1] - 1}'
+    pairs = list(doubts) if isinstance(leave_out, str) and leave_out == "doubtful" else as_list(leave_out)
+    blows = [[(a, n) for n in range(there.shape[1])] for a in setups]
+    known = pairs is not None and all(isinstance(pair, tuple) and pair in sum(blows, []) for pair in pairs)
+    what = f'"doubtful" or pairs (reference, blow), from {blows[0][0]} to {blows[-1][-1]}'
     require(known, message("leave_out", what, shown(leave_out)))
     if told := [f"blow {n} of {a!r} has {text}" for (a, n), text in doubts.items() if (a, n) not in pairs]:
         warn_channel(f'Doubtful: {"; ".join(told)}. Leave them out by leave_out="doubtful", or by pairs.')
-    return np.array([[(a, n) in pairs for n in range(there.shape[1])] for a in setups])
+    return np.array([[pair in pairs for pair in row] for row in blows])
 
 
 def _runs(flags: np.ndarray) -> np.ndarray:

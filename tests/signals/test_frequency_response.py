@@ -360,7 +360,7 @@ TIME = {"time": np.arange(X.shape[-1]) / FS}
         ({"band": (10.1, 10.2)}, "`band` must be wider than 2 Hz between lines"),
         ({"segment": 1.0}, "`segment` must be 8 samples or more within 0.5 s"),
         ({"segment": 0.1, "decay": 1.0}, "`segment` must be 8 samples or more .* without `decay`"),
-        ({"leave_out": [("0", 9)]}, '`leave_out` must be "doubtful" or pairs of a reference'),
+        ({"leave_out": [("0", 9)]}, r"`leave_out` must be \"doubtful\" or pairs .* \('1', 4\)"),
         ({"response": Y[:, :2]}, "`response` must be of the references, blows and samples"),
         ({"response": np.where(Y[0, 0, 0, 5] == Y, np.nan, Y)}, "`response` must be finite"),
         ({"response": xr.DataArray(Y, dims=list("abcd"))}, "`response` must be an array of reference, blow"),
@@ -390,6 +390,19 @@ def test_arguments_that_are_refused(arguments, match):
         return
     with pytest.raises(ValueError, match=match.replace("m/s^2, m/s, m, got g", r"m/s\^2, m/s, m, got g")):
         frequency_response(**given)
+
+
+def test_labels_and_dimensions_in_any_order():
+    x = xr.DataArray(X, {"reference": ["1:+z", "2:-x"]}, ("reference", "blow", "time"))
+    y = xr.DataArray(Y, {"reference": ["1:+z", "2:-x"], "response": ["a", "b", "c"]}, DIMS)
+    frf, turned = (frequency_response(x, one, fs=FS) for one in (y, y[::-1].transpose("time", ...)))
+    xr.testing.assert_equal(frf, turned)
+    assert frf["reference"].values.tolist() == ["1:+z", "2:-x"] and frf["response"].values.tolist() == [
+        *"abc"
+    ]
+    np.testing.assert_array_equal(
+        frf["frequency_response"], frequency_response(X, Y, fs=FS)["frequency_response"]
+    )
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,11 @@ from support.odd_values import PAIR, POSITIVE
 FOLDER = TemporaryDirectory()
 TEXT = Path(FOLDER.name) / "shaken.csv"
 TEXT.write_text("time,base,roof\n" + "".join(f"{0.1 * i:.1f},{i % 3},{i % 4}\n" for i in range(9)))
+FUNCTIONS = Path(FOLDER.name) / "beam.csv"
+FUNCTIONS.write_text("f,re,im\n1,2,3\n2,3,4\n")
+BLOWS = {"excitation": np.zeros((4, 64)), "response": np.random.default_rng(2).standard_normal((4, 1, 64))}
+BLOWS["excitation"][:, 3:6] = 1.0, 3.0, 1.0
+BLOWS |= {"fs": 64.0, "method": "H1"}
 MATRICES = Path(FOLDER.name) / "frame.npz"
 np.savez(MATRICES, M=np.eye(2))
 
@@ -145,6 +150,17 @@ CALLS = {
             "base": {"None"},
         },
         more=MORE,
+    ),
+    "read_frequency_response": Call(
+        pmf.io.read_frequency_response,
+        {"files": FUNCTIONS, "units": "m/N", "response": "2", "reference": "1", "columns": ["f", "re", "im"]},
+        {"response": {"text"}, "reference": {"text"}, "columns": {"None", "[]"}},
+    ),
+    "signals.frequency_response": Call(
+        pmf.signals.frequency_response,
+        BLOWS | {"units": "m/N", "band": (2.0, 20.0), "decay": 0.1, "leave_out": [("0", 1)]},
+        {"units": {"None"}, "band": {"None", "DataArray"}, "decay": {"0", "1.5"}, "leave_out": {"[]"}},
+        called={"excitation": ("channels",), "fs": ("dt", "band")},
     ),
     "signals.trim": Call(
         pmf.signals.trim,
