@@ -238,6 +238,13 @@ def test_universal_files(tmp_path, binary, even):
     np.testing.assert_allclose(data["frequency"], F, rtol=1e-5)
 
 
+def test_an_axis_that_was_rounded(tmp_path):
+    """Six digits are printed of uneven axes: steps of 8 mHz at 1000 Hz are steps of 0 and 10 mHz there."""
+    x = 1000.0 + 0.0078125 * np.arange(200.0)
+    path = universal(tmp_path / "a.uff", {"x": x, "data": np.full(200, 1.0 + 1.0j), "abscissa_spacing": 0})
+    np.testing.assert_allclose(read_frequency_response(path)["frequency"], x, rtol=2e-6)
+
+
 def test_several_universal_files(tmp_path):
     paths = [universal(tmp_path / f"{k}.uff", {"ref_node": k, "data": k * H}) for k in (2, 7)]
     data = read_frequency_response(paths)
@@ -284,6 +291,9 @@ def test_arguments_say_what_a_universal_file_leaves_open(tmp_path):
 def test_a_universal_file_that_is_cut(tmp_path):
     path = universal(tmp_path / "a.uff", {})
     lines = path.read_text().split("\n")
+    path.write_text("\n".join(lines[:-4]))
+    with pytest.raises(ValueError, match="a.uff must end with a line of -1, got none. Export it again"):
+        read_frequency_response(path)
     path.write_text("\n".join([*lines[:15], *lines[16:]]))
     with pytest.raises(ValueError, match=r"a.uff, 5:\+z/3:-x must have the 12 lines of its header, got 10"):
         read_frequency_response(path)

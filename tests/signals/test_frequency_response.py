@@ -279,6 +279,7 @@ def test_excitations_that_are_the_same():
         match="present at all lines, and of independent references, in 9 averages, got that of 0, 1",
     ):
         frequency_response(np.array([x[0], 2.0 * x[0]]), y, fs=RATE, segment=4.0)
+    frequency_response(x * [[1.0], [1e-6]], y, fs=RATE, segment=2.0)  # and in other units
     with pytest.raises(ValueError, match="independent references, in 1 averages"):
         frequency_response(x, y, fs=RATE)
     with pytest.raises(ValueError, match="must be present at all lines"):
@@ -339,6 +340,22 @@ def test_methods(method, place):
     assert np.mean(means).real == pytest.approx(3.0 * expected[method][k], rel=0.01)
     scatter = np.mean(np.abs(means - np.mean(means, axis=0)) ** 2)
     assert np.mean(ratios) == pytest.approx(scatter, rel=0.08)
+
+
+def test_noise_of_the_excitation_where_that_is_weak():
+    """The variance of H2 follows the power of the excitation from line to line, as that of H1."""
+    rng, found, said = np.random.default_rng(0), [], []
+    weak = np.where(np.arange(65) % 8 == 4, 0.3, 1.0)
+    signal = np.fft.irfft(weak * np.fft.rfft(rng.standard_normal((6, 128))))
+    for _ in range(400):
+        x = signal + 0.03 * rng.standard_normal(signal.shape)
+        frf = frequency_response(x, 3.0 * signal[:, None], fs=1.0, method="H2", band=(0.02, 0.48))
+        found.append(frf["frequency_response"].values[0, 0])
+        said.append(frf["variance"].values[0, 0])
+    ratio = np.mean(said, axis=0) / np.mean(np.abs(np.array(found) - 3.0) ** 2, axis=0)
+    at_weak = weak[np.rint(frf["frequency"].values * 128).astype(int)] < 1.0
+    assert ratio[at_weak].mean() == pytest.approx(1.0, abs=0.1)
+    assert ratio[~at_weak].mean() == pytest.approx(1.0, abs=0.1)
 
 
 # --- arguments --------------------------------------------------------------------------------------
