@@ -21,6 +21,7 @@ from pymc_features._checks import (
     check_choice,
     check_finite,
     check_positive,
+    listed,
     message,
     require,
     shown,
@@ -42,7 +43,7 @@ HIT, SHORT = 0.1, 0.1  # of the peak of a force, above what filters ring; of a r
 FLAT_TOP = 3  # samples in a row at the extreme
 LINES = 100  # averages times lines for a variance, which has an error of 10 %
 STEPS, LEAST = 10, 1e-3  # in which weights of blows settle; level of a blow, at least, of the mean
-RANK = 1e-6  # least eigenvalue of S_xx of references of unit power
+RANK, ROUNDING = 1e-6, 1e-24  # least eigenvalue of S_xx of unit powers; power that is none, of the largest
 HANN = 35.0 / 18.0, 1.0 / 36.0  # mean(w^4) / mean(w^2)^2; squared correlation of windows half over each other
 
 
@@ -167,7 +168,7 @@ def frequency_response(
     for k, kept in enumerate(there):
         X, Y = (_spectra(values[k, kept], window)[..., lines] for values in (forces, motions))
         counts.append(len(X))
-        estimates.append(_estimate(X, Y, method, factor, overlap, setups[k]))
+        estimates.append(_estimate(X, Y, frequency[lines], method, factor, overlap, setups[k]))
     if is_blow:
         pulses = np.abs(forces * loud)[there]
         blow = float(step * (pulses @ np.arange(n_times) / pulses.sum(-1)).mean())
@@ -231,7 +232,7 @@ def _prepared(excitation, response, step, units):
         labels.append(
             [str(n) for n in (whole[own].values if own in whole.coords else range(whole.sizes[own]))]
         )
-        found.append(whole.values.astype(np.float64))
+        found.append(whole.values.astype(np.float64, copy=False))
         pair += stated
     same = bool(steps) and max(steps) <= 1.001 * min(steps)
     require(same, message("dt", "given, and that of the coordinates `time`", f"{steps or None} s"))
@@ -280,23 +281,24 @@ def _spectra(values: np.ndarray, window: np.ndarray) -> np.ndarray:
     return np.fft.rfft(values * window)
 
 
-def _estimate(X, Y, method, factor, overlap, place) -> tuple[np.ndarray, ...]:  # noqa: N803  of a line
+def _estimate(X, Y, f, method, factor, overlap, place) -> tuple[np.ndarray, ...]:  # noqa: N803  of a line
     """Functions, variances, coherences (response, reference, line) of spectra (average, channel, line)."""
     from scipy.ndimage import uniform_filter1d  # a second to import
 
     n, m, n_lines = X.shape
     power = np.einsum("nal,nbl->lab", X, X.conj())
-    scale = np.sqrt(np.einsum("laa->la", power).real)
-    full = n >= m and (scale > 0.0).all()
-    full = full and np.linalg.eigvalsh(power / (scale[:, None] * scale[:, :, None])).min() > RANK
+    own = np.einsum("laa->la", power).real
+    scale = np.sqrt(np.maximum(own, ROUNDING * own.max(0) + np.finfo(float).tiny))
+    weak = f[np.linalg.eigvalsh(power / scale[:, None] / scale[:, :, None])[:, 0] < RANK]
     what = f"present at all lines, and of independent references, in {n} averages"
     advice = "Narrow `band`, shorten `segment`, or leave references out."
-    require(full, message("excitation", what, f"that of {place}", advice))
-    overlap = 1.0 + 2.0 * overlap * (n - 1) / n  # by which segments are fewer
+    require(not weak.size, message("excitation", what, f"that of {place} at {listed(weak, 3)} Hz", advice))
+    overlap = 1.0 + 2.0 * overlap * (n - 1) / max(n, 1)  # by which segments are fewer
     rest, weights = max(n - m * overlap, 1e-9), np.ones((n, Y.shape[1]))
     width = min(int(np.ceil(LINES * factor / rest)), n_lines)
     for left in range(STEPS if n > m + 1 and overlap == 1.0 and width < n_lines else 0, -1, -1):
-        inverse = np.linalg.inv(np.einsum("np,nal,nbl->plab", weights, X, X.conj()))
+        inverse = np.einsum("np,nal,nbl->plab", weights, X, X.conj(), optimize=True)
+        inverse = np.linalg.inv(inverse) if m > 1 else 1.0 / inverse  # a hundred times as fast
         H = np.einsum("np,npl,nal,plab->pbl", weights, Y, X.conj(), inverse, optimize=True)
         residual = np.abs(Y - np.einsum("pbl,nbl->npl", H, X)) ** 2
         unexplained = np.einsum("np,npl->pl", weights, residual)
