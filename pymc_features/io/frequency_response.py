@@ -121,9 +121,9 @@ def read_frequency_response(
     """
     units = None if units is None else check_text(units, "units", 'Pass a ratio such as "(m/s^2)/N".')
     paths = [files] if isinstance(files, str | PathLike) else as_list(files) or []
-    found = [function for path in paths for function in _read(check_file(path, "files"), columns)]
-    _must(found, "`files`", "be a path, or several", shown(files), "Name files.")
-    for source, f, values, *_ in found:
+    functions = [function for path in paths for function in _read(check_file(path, "files"), columns)]
+    _must(functions, "`files`", "be a path, or several", shown(files), "Name files.")
+    for source, f, values, *_ in functions:
         rises = values.shape == f.shape and f.size > 1 and (np.diff(f) > 0.0).all()
         _must(rises, source, "have values at two or more rising frequencies", f"{values.size} at {f.size}")
         _must(np.isfinite(values).all(), source, "be finite", f"NaN at {f[~np.isfinite(values)][:1]} Hz")
@@ -133,7 +133,7 @@ def read_frequency_response(
         if (missing := f[1:][(values[1:] == 0.0) | (is_even & (steps > 1.5))]).size:
             text = f"{source}: lines at or before {listed(missing, 5)} Hz are missing. Were they cut out?"
             warn_caller(text)
-    return _dataset(found, _labels(found, response, reference), units)
+    return _dataset(functions, _labels(functions, response, reference), units)
 
 
 def _must(holds, source: str, be: str, got, advice: str = "Export it again.") -> None:
@@ -165,7 +165,7 @@ def _universal(path: Path) -> list[Function]:
         file = pyuff.UFF(str(path))
         kinds = [str(int(kind)) for kind in file.get_set_types()]
         sets = [file.read_sets(k) for k, kind in enumerate(kinds) if kind == FUNCTIONS]
-    found, coherences = [], {}
+    functions, coherences = [], {}
     for one in [one for one in sets if one["func_type"] in (*FUNCTION, COHERENCE)]:
         places, n, values, x = (_place(one, "rsp"), _place(one, "ref")), one["num_pts"], one["data"], one["x"]
         source = f"{path.name}, {'/'.join(places)}"
@@ -184,11 +184,11 @@ def _universal(path: Path) -> list[Function]:
         says = tuple("force" if code == FORCE else QUANTITY_OF_TYPE.get(code) or "" for code in codes)
         units = f"({over})/({under})" if over and under else over
         f = (line if rounded else x[:n]) * _hertz(hertz, source)
-        found.append(Function(source, f, values[:n], units, places, says))
+        functions.append(Function(source, f, values[:n], units, places, says))
     types = listed([f"type {kind}" for kind in dict.fromkeys(one["func_type"] for one in sets)])
     must = "hold frequency response functions, data sets 58 of type 4"
-    _must(found, path.name, must, types, "Read time histories by `read_channels`.")
-    return [one._replace(coherence=coherences.get(one.places)) for one in found]
+    _must(functions, path.name, must, types, "Read time histories by `read_channels`.")
+    return [one._replace(coherence=coherences.get(one.places)) for one in functions]
 
 
 def _place(one: dict, end: str) -> str:
@@ -201,10 +201,10 @@ def _place(one: dict, end: str) -> str:
 
 def _hertz(unit: str, source: str) -> float:
     """Hertz in the unit of frequencies, which is hertz where nothing is said."""
-    known = unit_of(unit or "Hz")
-    is_known = unit == "rad/s" or (known is not None and known.quantity == "frequency")
-    _must(is_known, source, "have frequencies in Hz or rad/s", repr(unit))
-    return 0.5 / np.pi if unit == "rad/s" else known.factor
+    hertz = unit_of(unit or "Hz")
+    is_frequency = unit == "rad/s" or (hertz is not None and hertz.quantity == "frequency")
+    _must(is_frequency, source, "have frequencies in Hz or rad/s", repr(unit))
+    return 0.5 / np.pi if unit == "rad/s" else hertz.factor
 
 
 def _table(path: Path, columns) -> list[Function]:
@@ -220,17 +220,15 @@ def _table(path: Path, columns) -> list[Function]:
         labels, values = (table := read_columns(path, Request())).labels, table.values
         units = next((line.split("\t")[1].strip() for line in lines[:60] if line.startswith("Hz\t")), "")
     said = listed([label.text for label in labels if label.text])
-    given = [
-        Label.of(text)
-        for text in check_texts([] if columns is None else columns, "columns", "labels of columns")
-    ]
-    for a, b in zip(labels, given, strict=False):
+    texts = check_texts([] if columns is None else columns, "columns", "labels of columns")
+    by_argument = [Label.of(text) for text in texts]
+    for a, b in zip(labels, by_argument, strict=False):
         alike = all(not x or not y or x == y for x, y in ((_part(a), _part(b)), (a.unit, b.unit)))
         _must(alike, "`columns`", f"say what {path.name} does, {a.text!r}", repr(b.text), "Leave them out.")
-    labels = given or labels
+    labels = by_argument or labels
     at = next((k for k, label in enumerate(labels) if _is_frequency(label.name)), None)
-    told, what = at is not None and len(labels) == values.shape[1], f"each of {values.shape[1]} columns"
-    _must(told, path.name, f'have a label of {what}, one "frequency"', said, SAY)
+    complete, what = at is not None and len(labels) == values.shape[1], f"each of {values.shape[1]} columns"
+    _must(complete, path.name, f'have a label of {what}, one "frequency"', said, SAY)
     parts = [(label, values[:, k]) for k, label in enumerate(labels) if k != at]
     frequency = values[:, at].real * _hertz(labels[at].unit or "", path.name)
     return _functions(path, frequency, parts, units)
@@ -273,11 +271,11 @@ def _functions(path: Path, frequency: np.ndarray, parts: list, units: str) -> li
     for label, values in parts:
         words = [word for word in label.name.split() if word.lower() not in {*PARTS, "db", "deg", "rad"}]
         part, name = _part(label), "/".join(places_in(label.name)) or " ".join(words)
-        same = [group for known, group in groups if part and part not in group and name in ("", known)]
+        same = [group for title, group in groups if part and part not in group and name in ("", title)]
         if not same:
             groups.append((name, {}))
         (same or [groups[-1][1]])[-1][part] = label, values
-    found = []
+    functions = []
     for name, group in groups:
         source, says = (
             f"{path.name}, {name}" if name else path.name,
@@ -288,8 +286,8 @@ def _functions(path: Path, frequency: np.ndarray, parts: list, units: str) -> li
         gamma = group["coherence"][1].real if "coherence" in group else None
         for k in np.ndindex(values.shape[:-1]):
             one = Function(source, frequency, values[k], stated or units, places, tuple(says))
-            found.append(one if gamma is None else one._replace(coherence=gamma[k]))
-    return found
+            functions.append(one if gamma is None else one._replace(coherence=gamma[k]))
+    return functions
 
 
 def _complex(group: dict, source: str) -> tuple[str, np.ndarray]:
@@ -313,18 +311,18 @@ def _complex(group: dict, source: str) -> tuple[str, np.ndarray]:
     return units, values * np.exp(1j * turn * second)
 
 
-def _labels(found: list[Function], response, reference) -> list[tuple[str, str]]:
+def _labels(functions: list[Function], response, reference) -> list[tuple[str, str]]:
     """Places of functions, which they or the arguments state."""
-    n, names, given, places = len(found), ("response", "reference"), [], []
+    n, names, choices, places = len(functions), ("response", "reference"), [], []
     for name, labels in zip(names, (response, reference), strict=True):
         texts = check_texts([] if labels is None else labels, name, "places such as '5:+z'")
-        given.append([(places_in(text) or [text])[0] for text in texts] or [""])
-    sizes = [len(labels) for labels in given]
+        choices.append([(places_in(text) or [text])[0] for text in texts] or [""])
+    sizes = [len(labels) for labels in choices]
     fits, is_grid = {*sizes} <= {1, n}, sizes[0] * sizes[1] == n
     what = f"one place, or one for each of {n} functions"
     require(fits or is_grid, message("response, reference", what, sizes))
-    pairs = product(*given) if is_grid else zip(*(x * (n // len(x)) for x in given), strict=True)
-    for one, pair in zip(found, pairs, strict=True):
+    pairs = product(*choices) if is_grid else zip(*(x * (n // len(x)) for x in choices), strict=True)
+    for one, pair in zip(functions, pairs, strict=True):
         for name, stated, said in zip(names, one.places, pair, strict=True):
             alike, got = (stated or said) and said in ("", stated or said), f"{one.source} states {stated!r}"
             _must(alike, f"`{name}`", "be the place of the function, such as '5:+z'", f"{said!r}, {got}", "")
@@ -350,31 +348,31 @@ def _in_si(one: Function, units: str | None) -> tuple[str, str, float]:
     _must(alike, "`units`", 'be a ratio such as "(m/s^2)/N", and that of the file', got, "")
     if one.units and not stated:
         warn_caller(f"{one.source} states the units {one.units!r}; the argument units={units!r} is used.")
-    found, says = stated or said, " per ".join(one.kinds)
-    is_so = all(not kind or SI.get(kind) == unit for kind, unit in zip(one.kinds, found, strict=False))
+    ratio, says = stated or said, " per ".join(one.kinds)
+    is_so = all(not kind or SI.get(kind) == unit for kind, unit in zip(one.kinds, ratio, strict=False))
     _must(is_so, one.source, f"be {says} as it says", f"units {one.units or units}", "Correct one of them.")
-    return found
+    return ratio
 
 
-def _dataset(found: list[Function], places: list, units: str | None) -> "xr.Dataset":
+def _dataset(functions: list[Function], places: list, units: str | None) -> "xr.Dataset":
     """All functions as one array in SI units."""
     from pymc_features.signals.frequency_response import dataset  # xarray is slow to import
 
-    kinds, f = [_in_si(one, units) for one in found], found[0].frequency
+    kinds, f = [_in_si(one, units) for one in functions], functions[0].frequency
     quantities = sorted({f"({y})/({x})" for y, x, _ in kinds})
     _must(len(quantities) == 1, "Functions", "be of one quantity", listed(quantities), APART)
-    for one in found:
+    for one in functions:
         alike = one.frequency.shape == f.shape and np.allclose(one.frequency, f, rtol=1e-5)
-        must = f"have the {f.size} lines to {f[-1]:g} Hz of {found[0].source}"
+        must = f"have the {f.size} lines to {f[-1]:g} Hz of {functions[0].source}"
         _must(alike, one.source, must, f"{one.frequency.size} to {one.frequency[-1]:g} Hz", APART)
     responses, references = (list(dict.fromkeys(labels)) for labels in zip(*places, strict=True))
     grid = list(product(responses, references))
     for pair, n in [(pair, places.count(pair)) for pair in grid]:
         _must(n == 1, "Functions", f"have each pair once, {' / '.join(pair)}", f"it {n} times", APART)
     order, shape = [places.index(pair) for pair in grid], (len(responses), len(references), f.size)
-    values = np.reshape([kinds[k][2] * found[k].values for k in order], shape)
+    values = np.reshape([kinds[k][2] * functions[k].values for k in order], shape)
     data = dataset(values, (references, responses), f, kinds[0][1::-1])
-    gammas = [found[k].coherence for k in order]
+    gammas = [functions[k].coherence for k in order]
     if any(gamma is not None for gamma in gammas):
         gammas = [np.full(f.size, np.nan) if gamma is None else gamma for gamma in gammas]
         data["coherence"] = data["frequency_response"].dims, np.reshape(gammas, shape)
