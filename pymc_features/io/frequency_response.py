@@ -25,7 +25,7 @@ from pymc_features._checks import (
     shown,
     warn_caller,
 )
-from pymc_features.io.formats.libraries import AXES, FUNCTIONS, QUANTITY_OF_TYPE, is_universal
+from pymc_features.io.formats.libraries import AXES, FUNCTIONS, QUANTITY_OF_TYPE, SINGLE, is_universal
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.formats.text import read_columns
 from pymc_features.io.reading.labels import SI, Label, role_of, unit_of
@@ -148,7 +148,7 @@ def _read(path: Path, columns) -> list[Function]:
     """The functions of a file."""
     if is_universal((raw := path.read_bytes())[:200]):
         _must(raw.rstrip().endswith(b"    -1"), path.name, "end with a line of -1", "none")
-        return _universal(path)
+        return _universal(path, raw)
     if path.suffix.lower() == ".npz":
         with by_library("NumPy", "", path, ".npz"), np.load(path, allow_pickle=False) as arrays:
             return _of_arrays(path, dict(arrays))
@@ -156,7 +156,7 @@ def _read(path: Path, columns) -> list[Function]:
     return _of_arrays(path, load_variables(path)) if is_array else _table(path, columns)
 
 
-def _universal(path: Path) -> list[Function]:
+def _universal(path: Path, raw: bytes) -> list[Function]:
     """Functions of data sets 58, with the coherences that stand beside them."""
     with by_library("pyuff", "modal", path, "Universal"), warnings.catch_warnings():
         import pyuff
@@ -170,6 +170,13 @@ def _universal(path: Path) -> list[Function]:
         places, n, values, x = (_place(one, "rsp"), _place(one, "ref")), one["num_pts"], one["data"], one["x"]
         source = f"{path.name}, {'/'.join(places)}"
         whole = n <= values.size < n + 3 and not values[n:].any()  # the last line may be filled with zeros
+        if one["binary"]:  # numbers must reach to the end, else a byte was lost or added
+            order, size = (
+                "<" if one["byte_ordering"] == 1 else ">",
+                4 if one["ord_data_type"] in SINGLE else 8,
+            )
+            last = np.array(values[-1:]).view(np.float64)[-1:].astype(f"{order}f{size}").tobytes()
+            whole = whole and any(last + end + b"    -1" in raw for end in (b"", b"\n", b"\r\n"))
         _must(whole, source, f"have the {n} lines of its header", values.size)
         if one["func_type"] == COHERENCE:
             coherences[places] = values[:n].real

@@ -299,6 +299,15 @@ def test_a_universal_file_that_is_cut(tmp_path):
         read_frequency_response(path)
 
 
+def test_a_byte_too_many_among_binary_numbers(tmp_path):
+    path = universal(tmp_path / "a.uff", {"binary": 1})
+    raw = path.read_bytes()
+    middle = raw.index(np.float64(H[5].real).tobytes())
+    path.write_bytes(raw[:middle] + b"x" + raw[middle:])
+    with pytest.raises(ValueError, match=r"a.uff, 5:\+z/3:-x must have the 12 lines of its header"):
+        read_frequency_response(path)
+
+
 @real_data
 def test_a_universal_file_of_an_analyser():
     """In Latin-1, with a ratio as its unit, and without nodes."""
