@@ -193,6 +193,9 @@ CAPABILITIES = {  # file: what a user can do: the test
     "io/test_io_cyclic.py": {
         "io: read_cyclic_test": "test_units_and_places",
     },
+    "io/test_frequency_response_files.py": {
+        "io: read_frequency_response": "test_universal_files",
+    },
     "io/test_formats.py": {
         "io: every format of records": "test_record",
         "io: every format of channels": "test_channels",
@@ -205,6 +208,9 @@ CAPABILITIES = {  # file: what a user can do: the test
     },
     "io/test_written_files.py": {
         "io: writers": "test_modes",
+    },
+    "signals/test_frequency_response.py": {
+        "signals: frequency_response": "test_variance_of_blows",
     },
     "signals/test_signals.py": {
         "signals": "test_band_pass_has_the_stated_gain_and_no_phase",

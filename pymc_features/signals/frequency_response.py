@@ -173,11 +173,17 @@ def frequency_response(
         pulses = np.abs(forces * loud)[there]
         blow = float(step * (pulses @ np.arange(n_times) / pulses.sum(-1)).mean())
     H, *rest = (np.concatenate(parts, axis=1) for parts in zip(*estimates, strict=True))
-    facts = {"n_averages": min(counts), "duration": n_used * step, "dt": step, "decay": decay, "blow": blow}
+    facts = {
+        "n_averages": min(counts),
+        "duration": float(n_used * step),
+        "dt": step,
+        "decay": decay,
+        "blow": blow,
+    }
     data = dataset(H, labels, frequency[lines], pair, **facts)
     if min(counts) > forces.shape[2]:
         dims = data["frequency_response"].dims
-        data["variance"], data["coherence"] = (dims, rest[0], {"factor": factor}), (dims, rest[1])
+        data["variance"], data["coherence"] = (dims, rest[0], {"factor": float(factor)}), (dims, rest[1])
     return data
 
 
