@@ -35,9 +35,8 @@ if TYPE_CHECKING:
 EXCITATIONS = {"N": "force", "m/s^2": "base"}  # by units, as the next; the first of bare arrays
 QUANTITIES = {"m/s^2": "accelerance", "m/s": "mobility", "m": "receptance"}
 #: Units of a function: those of excitation and response.
-RATIOS = {
-    f"{y}/{x}": (x.strip("()"), y.strip("()")) for x in ("N", "(m/s^2)") for y in ("(m/s^2)", "(m/s)", "m")
-}
+RATIOS = [(x, y) for x in ("N", "(m/s^2)") for y in ("(m/s^2)", "(m/s)", "m")]
+RATIOS = {f"{y}/{x}": (x.strip("()"), y.strip("()")) for x, y in RATIOS}
 DIMS = "reference", "blow", "response", "time"
 HIT, SHORT = 0.1, 0.1  # of the peak of a force, above what filters ring; of a record, at most, is a blow
 FLAT_TOP = 3  # samples in a row at the extreme
@@ -132,9 +131,8 @@ def frequency_response(
     """
     check_choice(method, "method", ("H1", "H2", "Hv"))
     decay = check_positive(decay, "decay", "Pass 1/s.", allow_zero=True)
-    (forces, motions), labels, step, pair, together = _prepared(
-        excitation, response, step_or_rate(dt, fs), units
-    )
+    records, labels, step, pair, together = _prepared(excitation, response, step_or_rate(dt, fs), units)
+    forces, motions = records
     forces = forces.transpose(2, 1, 0, 3) if together else forces  # (set-up, blow, reference, time)
     setups, n_times = [", ".join(labels[0])] if together else labels[0], forces.shape[3]
     what = "of the references, blows and samples of `excitation`"
@@ -161,9 +159,8 @@ def frequency_response(
     frequency = np.fft.rfftfreq(size, step)
     low, high = (0.5 * frequency[1], np.inf) if band is None else check_band(band, step)
     lines = (low <= frequency) & (frequency <= high)
-    require(
-        lines.any(), message("band", f"wider than {frequency[1]:g} Hz between lines", f"({low:g}, {high:g})")
-    )
+    what = f"wider than {frequency[1]:g} Hz between lines"
+    require(lines.any(), message("band", what, f"({low:g}, {high:g})"))
     blow, counts, estimates = np.nan, [], []
     for k, used in enumerate(there):
         X, Y = (_spectra(values[k, used], window)[..., lines] for values in (forces, motions))
@@ -173,13 +170,8 @@ def frequency_response(
         pulses = np.abs(forces * loud)[there]
         blow = float(step * (pulses @ np.arange(n_times) / pulses.sum(-1)).mean())
     H, *rest = (np.concatenate(parts, axis=1) for parts in zip(*estimates, strict=True))
-    facts = {
-        "n_averages": min(counts),
-        "duration": float(n_used * step),
-        "dt": step,
-        "decay": decay,
-        "blow": blow,
-    }
+    facts = {"n_averages": min(counts), "duration": float(n_used * step)}
+    facts |= {"dt": step, "decay": decay, "blow": blow}
     data = dataset(H, labels, frequency[lines], pair, **facts)
     if min(counts) > forces.shape[2]:
         dims = data["frequency_response"].dims
@@ -192,11 +184,8 @@ def dataset(values, labels, frequency, pair, **facts) -> xr.Dataset:
     attrs = {"quantity": QUANTITIES[pair[1]], "excitation": EXCITATIONS[pair[0]], "n_averages": 0}
     attrs |= {"duration": np.nan, "dt": np.nan, "decay": 0.0, "blow": np.nan} | facts
     attrs["units"] = next(text for text, units in RATIOS.items() if units == tuple(pair))
-    coords = {
-        "response": labels[1],
-        "reference": labels[0],
-        "frequency": ("frequency", frequency, {"units": "Hz"}),
-    }
+    coords = {"response": labels[1], "reference": labels[0]}
+    coords["frequency"] = ("frequency", frequency, {"units": "Hz"})
     return xr.Dataset({"frequency_response": (("response", "reference", "frequency"), values)}, coords, attrs)
 
 
