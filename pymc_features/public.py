@@ -30,7 +30,7 @@ from pymc_features.likelihoods import (
     GammaFeature,
     TruncNormalFeature,
 )
-from pymc_features.modal import ModalFeature, modes, read_modal
+from pymc_features.modal import FrequencyResponse, ModalFeature, modes, read_modal
 from pymc_features.ops import mean_square_discrepancy, response
 from pymc_features.prediction import sensor_placement
 from pymc_features.records import Loading, Record
@@ -65,6 +65,7 @@ __all__ = [
     "DuffingChain",
     "ExpFeature",
     "ExternalSimulator",
+    "FrequencyResponse",
     "GammaFeature",
     "HystereticChain",
     "LinearStructure",

@@ -9,6 +9,7 @@ from benchmarks.coverage.bounds import run_bounds
 from benchmarks.coverage.cyclic import run_cyclic
 from benchmarks.coverage.errors import ERRORS
 from benchmarks.coverage.events import run_events
+from benchmarks.coverage.frequency_response import run_frequency_response
 from benchmarks.coverage.identified import run_identified
 from benchmarks.coverage.model_errors import run_model_errors, run_records
 from benchmarks.coverage.modes import run_modes
@@ -27,6 +28,7 @@ PARTS = {
     "model errors": run_model_errors,
     "gaps and records": run_records,
     "cyclic": run_cyclic,
+    "frequency response": run_frequency_response,
 }
 NAMES = (*PARTS, *ERRORS)
 

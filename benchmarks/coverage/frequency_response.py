@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from scipy.linalg import eigh
-from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq
 from scipy.stats import norm
 
+import pymc_features as pmf
 from benchmarks.tables import table
 from pymc_features.modal.frequency_response import (
     SCALES,
@@ -108,24 +108,9 @@ def hammer_test(modes, ratios, duration, rng, drift=0.0) -> Test:
 
 def responses(test: Test, decay=0.0, pad=1) -> xr.Dataset:
     """H1 with the variance of its lines."""
-    n = test.force.shape[-1]
-    window = np.exp(-decay * np.arange(n) / RATE)
-    f = np.fft.rfftfreq(n * pad, 1.0 / RATE)
-    kept = (f >= BAND[0]) & (f <= BAND[1])
-    x, y = (np.fft.rfft(z * window, n * pad)[..., kept] for z in (test.force, test.acceleration))
-    power = np.sum(np.abs(x) ** 2, axis=1)
-    h = np.sum(y * x.conj()[:, :, None], axis=1) / power[:, None]
-    v = np.sum(np.abs(y - h[:, None] * x[:, :, None]) ** 2, axis=1) / (BLOWS - 1) / power[:, None]
-    v = uniform_filter1d(v, max(1, int(8.0 / (f[1] - f[0]))), axis=-1, mode="nearest")
-    v *= pad / np.mean(window**2)
-    dims = "response", "reference", "frequency"
-    attrs = {"quantity": "accelerance", "excitation": "force", "decay": decay, "duration": n / RATE}
-    attrs |= {"dt": 1.0 / RATE, "blow": float(test.centroids.mean())}
-    return xr.Dataset(
-        {"frequency_response": (dims, h.swapaxes(0, 1)), "variance": (dims, v.swapaxes(0, 1))},
-        {"frequency": f[kept], "response": ["12", "20"], "reference": ["9", "14", "20"]},
-        attrs,
-    )
+    behind = (pad - 1) * test.force.shape[-1]
+    records = [np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, behind)]) for x in test[:2]]
+    return pmf.signals.frequency_response(*records, dt=1.0 / RATE, band=BAND, decay=decay)
 
 
 PRIOR = np.array([0.5, 0.5, 0.7])  # of ln of both factors, and of ln of the damping ratio over its truth

@@ -13,6 +13,7 @@ from scipy.fft import next_fast_len
 from pymc_features._checks import as_list, check_choice, check_integer, check_positive, message, shown
 from pymc_features.ambient.bands import band_transform, checked_bands, transfer_functions
 from pymc_features.ambient.free_modes import BandData, FreeModes, Posterior, best_posterior, noise_logp
+from pymc_features.ambient.known_input import fitted_bands, rows_of_fit, split_channels
 from pymc_features.ambient.response import MEASURED, tell, warn_of_peak
 from pymc_features.modal import ModalData
 from pymc_features.signals import sampling_step
@@ -36,14 +37,19 @@ def identify_modes(
     *,
     n_modes: int | list[int] | None = None,
     quantity: str = "acceleration",
+    excitation: xr.DataArray | str | list[str] | None = None,
 ) -> ModalData:
-    """Identify natural frequencies, damping ratios and shapes from channels alone, with their uncertainty.
+    """Identify natural frequencies, damping ratios and shapes from channels, with their uncertainty.
 
     The likelihood is that of `AmbientResponse`, with free modes in the place of a structure's: in each band
     real shapes, correlated forces on the modes of constant spectral density, and errors of one spectral
     density on all channels. Modes may be close. What is returned is the maximum of the posterior under flat
     priors (on logarithms of frequencies, ratios and densities) with the standard deviations of Laplace's
     approximation, as `ModalFeature` and `[modal]` of `update` take it.
+
+    With a known `excitation`, forces or motions of a base, the transforms of the channels are those of the
+    excitation times the transfer functions of free modes, and of the free vibration with which the record
+    begins and ends, so that it needs no window; errors have one spectral density for each channel and band.
 
     Parameters
     ----------
@@ -59,6 +65,8 @@ def identify_modes(
         damping or more; what is as narrow as a single frequency; and modes that were found twice.
     quantity : str
         What was measured: "acceleration", "velocity" or "displacement".
+    excitation : DataArray (input, time), str or list of str, optional
+        Forces [N] or accelerations of the base [m/s^2] that were measured, or which of the channels they are.
 
     Returns
     -------
@@ -105,6 +113,8 @@ def identify_modes(
     array([ True,  True])
     """
     check_choice(quantity, "quantity", list(MEASURED))
+    if excitation is not None:
+        return with_excitation(channels, excitation, bands, n_modes, quantity)
     channels, tones = steady(channels)
     if bands is None:
         bands = propose_bands(channels)
@@ -120,12 +130,35 @@ def identify_modes(
         posterior = of_band(data, number)
         own = [] if posterior is None else modes_of(data, posterior, is_free=number is None)
         if not own:
-            low, high = data.limits
-            tell(
-                f"the band {low:.4g} to {high:.4g} Hz has no mode: it is noise, or what comes in from beside "
-                "it. Leave it out."
-            )
+            tell_of_empty(data.limits)
         found += own
+    return identified(found, channels)
+
+
+def tell_of_empty(limits) -> None:
+    """Warn of a band without a mode."""
+    tell(
+        f"the band {limits[0]:.4g} to {limits[1]:.4g} Hz has no mode: it is noise, or what comes in from beside "
+        "it. Leave it out."
+    )
+
+
+def with_excitation(channels, excitation, bands, n_modes, quantity) -> ModalData:
+    """Modes from channels and what excited them."""
+    channels, excitation = split_channels(channels, excitation)
+    limits = np.atleast_2d(propose_bands(channels) if bands is None else bands)
+    found = []
+    numbers = checked_numbers(n_modes, len(limits))
+    for band, fit in fitted_bands(channels, excitation, limits, numbers, MEASURED[quantity]):
+        rows = rows_of_fit(fit)
+        if not rows:
+            tell_of_empty(band)
+        found += rows
+    return identified(found, channels)
+
+
+def identified(found: list[tuple], channels) -> ModalData:
+    """The modes that all bands have."""
     if not found:
         advice = "Look at the spectra, and pass bands around their peaks."
         raise ValueError(message("bands", "bands with modes", "none with any", advice))

@@ -4,6 +4,7 @@ from pymc_features.lazy import lazily
 
 # files of modes are read without PyMC
 PLACES = {
+    "FrequencyResponse": "frequency_response",
     "ModalData": "data",
     "ModalFeature": "feature",
     "SymbolicModes": "structural_modes",

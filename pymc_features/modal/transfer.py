@@ -36,7 +36,10 @@ FORGOTTEN = (
 )
 MOST = 30  # modes
 BEYOND = -2, 0  # powers of s beside s^q of the terms for modes beyond the lines
-SMOOTHED = 40  # the level of errors is averaged over this part of the lines, where it is not known
+SMOOTHED, LEAST = (
+    40,
+    100,
+)  # the level of errors is averaged over this part of the lines, or so many, where it is not known
 SAME = 0.9  # MAC of two modes that are one
 FAINT = 0.05  # of the power at its frequency: less of it belongs to no mode that is seen
 WIDEST, NARROW = (
@@ -264,8 +267,9 @@ def with_level(experiments, off, smoothed: bool) -> list[Experiment]:
         power = np.abs(rest) ** 2
         level = np.mean(power, axis=1, keepdims=True)
         if smoothed:
-            size = max(1, power.shape[1] // SMOOTHED)
-            level = np.maximum(uniform_filter1d(power, size, axis=1, mode="nearest"), 1e-3 * level)
+            size = max(LEAST, power.shape[1] // SMOOTHED)
+            if size < power.shape[1]:
+                level = np.maximum(uniform_filter1d(power, size, axis=1, mode="nearest"), 1e-3 * level)
         found.append(e._replace(variance=np.broadcast_to(level, power.shape)))
     return found
 
@@ -348,7 +352,10 @@ def fit_modes(
         return modes, here, known
 
     modes, here, known = fitted(modes)
-    charge = 0.5 * (1 + n_in + n_out) * np.log(2.0 * sum(e.response.size for e in experiments))
+    charge = (
+        0.5 * (1 + n_in + n_out + 2 * lines.decays) * np.log(2.0 * sum(e.response.size for e in experiments))
+    )
+    charge += np.log(len(lines.frequencies))  # for any of them a mode may be at
     while len(modes.natural) < MOST and are_seen(modes, experiments, lines).sum() < (n_modes or MOST):
         more, there, of_more = fitted(further_mode(modes, known, lines))
         if unknown:
@@ -390,14 +397,14 @@ def drift_between(modes: TransferModes, experiments, lines) -> float:
 
 def without_rest(gradient, information, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and information of the first unknowns, with the others integrated out."""
-    rest, across = information[size:, size:], information[size:, :size]
-    scale = np.sqrt(np.diag(rest))
-    inner = np.linalg.solve(rest / np.outer(scale, scale), np.c_[across, gradient[size:]] / scale[:, None])
-    taken = (across / scale[:, None]).T @ inner
-    return gradient[:size] - taken[:, -1], information[:size, :size] - taken[:, :-1]
+    across = information[:size, size:] @ with_pseudo_inverse(information[size:, size:])
+    return gradient[:size] - across @ gradient[size:], information[:size, :size] - across @ information[
+        size:, :size
+    ]
 
 
 def with_pseudo_inverse(information) -> np.ndarray:
     """Covariance of an information; zero along what it knows nothing of, the scale of p_r against p_a."""
     scale = np.sqrt(np.diag(information))
+    scale = np.where(scale > 0.0, scale, 1.0)
     return np.linalg.pinv(information / np.outer(scale, scale), UNKNOWN, True) / np.outer(scale, scale)
