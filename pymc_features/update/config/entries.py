@@ -3,171 +3,155 @@
 Values of many storeys in few words: groups that share one, known values times a factor, and tapers.
 """
 
-from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import pytensor.tensor as pt
-from pydantic import PlainValidator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Strict,
+    Tag,
+    model_validator,
+)
 from pytensor.graph.basic import Variable
 
 from pymc_features._checks import is_number
-from pymc_features.update.config.keys import shown
+
+STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+GROUPS = "{groups = [[VALUE, COUNT], ...]}"
+TAPER = "{base = VALUE, top = VALUE, exponent = VALUE}"
+ONE = "a number, the name of a prior, or {prior = NAME, times = NUMBER}"
 
 
-@dataclass(frozen=True)
-class Parameter:
+def key(description, default=..., **limits):
+    """A key with the words that complete "must be"."""
+    return Field(default, description=description, **limits)
+
+
+class Value(BaseModel):
+    """A table that stands for a value."""
+
+    model_config = STRICT
+
+
+class Parameter(Value):
     """A random entry: `times` the variable of this prior."""
 
-    prior: str
-    times: float = 1.0
+    prior: str = key("the name of a prior", min_length=1)
+    times: float = key("a positive number", 1.0, gt=0)
+
+    def __mul__(self, factor):
+        return Parameter(prior=self.prior, times=self.times * factor)
 
 
-@dataclass(frozen=True)
-class Taper:
-    """Values from the first storey to the last, base + (top - base) x^exponent, x = (i - 1) / (n - 1)."""
-
-    # values of storeys 1 and n, and how long it stays near the first: 1 is linear, 2 parabolic
-    base: float | Parameter
-    top: float | Parameter
-    exponent: float | Parameter = 1.0
-    times: float | tuple[float, ...] = 1.0  # known values to multiply
-    n: int | None = None  # number of storeys, where it is known
-
-
-@dataclass(frozen=True)
-class Matrix:
+class Matrix(Value):
     """A matrix of a file, by its name there."""
 
     file: str
     name: str | None = None
 
 
-GROUPS = "{groups = [[VALUE, COUNT], ...]}"
-TAPER = "{base = VALUE, top = VALUE, exponent = VALUE}"
-WANTED = "must be a number, the name of a prior, or {prior = NAME, times = NUMBER}"
+def form(value) -> str:
+    """Which form of a value the file has."""
+    if isinstance(value, dict):
+        if "groups" in value:
+            return "as groups"
+        if {"base", "top", "exponent"} & set(value):
+            return "as taper"
+        return "as multiples" if isinstance(value.get("times"), list) else "as multiple"
+    return {list: "as list", str: "as name", Parameter: "as multiple"}.get(type(value), "as number")
 
 
-def entry(value):
-    """One parameter."""
-    if is_number(value) and abs(value) < float("inf"):
-        return float(value)
-    if isinstance(value, str) and value:
-        return Parameter(value)
-    if isinstance(value, dict) and set(value) == {"prior", "times"}:
-        prior, times = value["prior"], value["times"]
-        if isinstance(prior, str) and is_number(times) and 0.0 < times < float("inf"):
-            return Parameter(prior, float(times))
-    raise ValueError(f"{WANTED}, got {shown(value)}")
+Positive = Annotated[float, Field(gt=0)]
+Number = Annotated[float, Tag("as number")]
+Name = Annotated[str, Field(min_length=1), AfterValidator(lambda name: Parameter(prior=name)), Tag("as name")]
+Multiple = Annotated[Parameter, Tag("as multiple")]
+type Entry = Annotated[Number | Name | Multiple, Discriminator(form)]
+List = Annotated[list[Entry], Field(min_length=1), Tag("as list")]
+type Vector = Annotated[Number | Name | Multiple | List, Discriminator(form)]
+Group = Annotated[tuple[Entry, Annotated[int, Field(ge=1)]], Strict(False)]
 
 
-def vector(value):
-    """One parameter for all, or a list of them."""
-    if not isinstance(value, list):
-        return entry(value)
-    if not value:
-        raise ValueError(f"{WANTED}, or a list of these, got an empty list")
-    return [entry(item) for item in value]
+class Groups(Value):
+    """Groups of equal entries, perhaps each times a known value."""
 
+    groups: list[Group] = key("a list of pairs [VALUE, COUNT], COUNT a positive whole number", min_length=1)
+    times: Positive | list[Positive] = key("a positive number, or a list with one for each", 1.0)
 
-def matrix(value):
-    """A matrix by file, or as rows of numbers."""
-    if isinstance(value, dict) and {"file"} <= set(value) <= {"file", "name"}:
-        if all(isinstance(text, str) for text in value.values()):
-            return Matrix(**value)
-    elif isinstance(value, list) and value:
-        rows = [row if isinstance(row, list) else [row] for row in value]
-        if len({len(row) for row in rows}) == 1 and all(is_number(v) for row in rows for v in row):
-            return value
-    raise ValueError(
-        f"must be a file with matrices, {{file = FILE, name = NAME}}, or rows of numbers, got {shown(value)}"
-    )
-
-
-def terms(value):
-    """One matrix for each parameter; an empty table where a parameter does not act."""
-    if not isinstance(value, list):
-        raise ValueError(f"must be a list of matrices, got {shown(value)}")
-    return [None if item == {} else matrix(item) for item in value]
-
-
-def grouped(value):
-    """Take what `vector` takes, or groups of equal entries, or one prior times a list of known values."""
-    if isinstance(value, dict) and "groups" in value:
-        allowed(value, "groups", "times")
-        return multiplied(in_groups(value["groups"]), value.get("times", 1.0))
-    if isinstance(value, dict) and set(value) == {"prior", "times"} and isinstance(value["times"], list):
-        times = factors(value["times"])
-        return multiplied([entry(value["prior"])] * len(times), list(times))
-    return vector(value)
-
-
-def by_storey(value):
-    """Take what `grouped` takes, or a taper."""
-    if not isinstance(value, dict) or "groups" in value or not {"base", "top", "exponent"} & set(value):
-        return grouped(value)
-    allowed(value, "base", "top", "exponent", "times")
-    for name in ("base", "top"):
-        if name not in value:
-            raise ValueError(f"must have `base` and `top` as a taper, got no `{name}`")
-    found = {name: entry(value[name]) for name in ("base", "top", "exponent") if name in value}
-    for name, item in found.items():
-        if isinstance(item, float) and (item < 0.0 or (item == 0.0 and name == "exponent")):
-            condition = "positive" if name == "exponent" else "positive or zero"
-            raise ValueError(f"must have a `{name}` that is {condition}, got {item:g}")
-    return Taper(**found, times=factors(value.get("times", 1.0)))
-
-
-def allowed(table, *keys):
-    """Refuse other keys."""
-    for name in table:
-        if name not in keys:
-            raise ValueError(f"must have the keys {', '.join(keys)} and no others, got {name!r}")
-
-
-def in_groups(groups) -> list:
-    """One entry for each member of the groups."""
-    found = []
-    for group in groups if isinstance(groups, list) and groups else [groups]:
-        if not isinstance(group, list) or len(group) != 2:
-            raise ValueError(f"must have pairs [VALUE, COUNT] in `groups`, got {group!r}")
-        value, count = group
-        if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+    def entries(self) -> list:
+        """One entry for each member of the groups."""
+        found = [value for value, count in self.groups for _ in range(count)]
+        times = self.times if isinstance(self.times, list) else [self.times] * len(found)
+        if len(times) != len(found):
             raise ValueError(
-                f"must have positive whole numbers as counts in `groups`, got {count!r} in {group}"
+                f"must have one value of `times` for each of the {len(found)} of the groups, got {len(times)}"
             )
-        found += [entry(value)] * count
-    return found
+        return [value * factor for value, factor in zip(found, times, strict=True)]
 
 
-def factors(times):
-    """A positive number, or a tuple of them."""
-    numbers = times if isinstance(times, list) and times else [times]
-    if not all(is_number(value) and 0.0 < value < float("inf") for value in numbers):
-        raise ValueError(f"must have positive numbers as `times`, one or one for each, got {times!r}")
-    return tuple(map(float, times)) if isinstance(times, list) else float(times)
+class Multiples(Value):
+    """One prior times a list of known values."""
+
+    prior: str = key("the name of a prior", min_length=1)
+    times: list[Positive] = key("a list of positive numbers", min_length=1)
+
+    def entries(self) -> list[Parameter]:
+        """One entry for each of the values."""
+        return [Parameter(prior=self.prior, times=factor) for factor in self.times]
 
 
-def multiplied(entries, times) -> list:
-    """Entries times a number, or each times its own."""
-    times = factors(times)
-    each = times if isinstance(times, tuple) else (times,) * len(entries)
-    if len(each) != len(entries):
-        raise ValueError(
-            f"must have one value of `times` for each of the {len(entries)} of the groups, got {len(each)}"
-        )
-    return [
-        replace(item, times=item.times * factor) if isinstance(item, Parameter) else item * factor
-        for item, factor in zip(entries, each, strict=True)
-    ]
+class Taper(Value):
+    """Values from the first storey to the last, base + (top - base) x^exponent, x = (i - 1) / (n - 1)."""
+
+    base: Entry = key(f"{ONE}, at the first storey")
+    top: Entry = key(f"{ONE}, at the last storey")
+    exponent: Entry = key(f"{ONE}: 1 is linear, more stays longer near the first", 1.0)
+    times: Positive | list[Positive] = key("a positive number, or a list with one for each", 1.0)
+    n: ClassVar[int | None] = None  # number of storeys, where it is known
+
+    @model_validator(mode="after")
+    def positive(self):
+        """Values have one sign."""
+        for name in ("base", "top", "exponent"):
+            value = getattr(self, name)
+            if isinstance(value, float) and (value < 0.0 or (value == 0.0 and name == "exponent")):
+                condition = "positive" if name == "exponent" else "positive or zero"
+                raise ValueError(f"must have a `{name}` that is {condition}, got {value:g}")
+        return self
+
+    def of_storeys(self, values):
+        """The n values, with the variables or numbers `values` in place of the names of priors."""
+        base, top, exponent = (evaluated(v, values) for v in (self.base, self.top, self.exponent))
+        x = np.arange(self.n) / (self.n - 1.0)
+        above = x > 0.0  # the slope of x^exponent by the exponent is x^exponent log(x)
+        share = above * np.where(above, x, 1.0) ** exponent
+        return np.asarray(self.times) * (base * (1.0 - share) + top * share)
 
 
-Entry = Annotated[Any, PlainValidator(entry)]
-Vector = Annotated[Any, PlainValidator(vector)]
-MatrixEntry = Annotated[Any, PlainValidator(matrix)]
-Terms = Annotated[Any, PlainValidator(terms)]
-Grouped = Annotated[Any, PlainValidator(grouped)]
-ByStorey = Annotated[Any, PlainValidator(by_storey)]
+InGroups = Annotated[Groups, AfterValidator(Groups.entries), Tag("as groups")]
+Listed = Annotated[Multiples, AfterValidator(Multiples.entries), Tag("as multiples")]
+Tapered = Annotated[Taper, Tag("as taper")]
+type Grouped = Annotated[Number | Name | Multiple | List | InGroups | Listed, Discriminator(form)]
+type ByStorey = Annotated[Number | Name | Multiple | List | InGroups | Listed | Tapered, Discriminator(form)]
+
+
+def even_rows(value):
+    """Rows of numbers, or single numbers; the words of the key say what is right."""
+    rows = [row if isinstance(row, list) else [row] for row in value]
+    assert len({len(row) for row in rows}) == 1 and all(is_number(v) for row in rows for v in row)
+    return value
+
+
+Rows = Annotated[list[Any], AfterValidator(even_rows), Tag("as list")]
+type MatrixEntry = Annotated[
+    Annotated[Matrix, Tag("as dict")] | Rows, Discriminator(lambda value: f"as {type(value).__name__}")
+]
+Terms = list[Annotated[MatrixEntry | None, BeforeValidator(lambda value: None if value == {} else value)]]
 
 
 def priors_in(value):
@@ -197,21 +181,12 @@ def evaluated(value, values):
         found = values[value.prior]
         return found if value.times == 1.0 else value.times * found
     if isinstance(value, Taper):
-        return tapered(value, values)
+        return value.of_storeys(values)
     if not isinstance(value, list):
         return value
     if any(isinstance(values[item.prior], Variable) for item in priors_in(value)):
         return combined(value, values)
     return [evaluated(item, values) for item in value]
-
-
-def tapered(taper, values):
-    """The n values of a taper."""
-    base, top, exponent = (evaluated(v, values) for v in (taper.base, taper.top, taper.exponent))
-    x = np.arange(taper.n) / (taper.n - 1.0)
-    above = x > 0.0  # the slope of x^exponent by the exponent is x^exponent log(x)
-    share = above * np.where(above, x, 1.0) ** exponent
-    return np.asarray(taper.times) * (base * (1.0 - share) + top * share)
 
 
 def combined(entries, values):

@@ -180,10 +180,12 @@ def words(error, path, meaning, entry, schema) -> str:
     kind, given = error["type"], error["input"]
     if kind == "missing":
         return f"`{path}` must be given: {meaning}."
-    if kind in ("union_tag_invalid", "union_tag_not_found"):
+    if kind in ("union_tag_invalid", "union_tag_not_found") and schema.types():
         type_ = given.get("type") if isinstance(given, dict) else given
         got = "none" if type_ is None else shown(type_)
         return f"`{path}.type` must be one of {', '.join(schema.types())}, got {got}."
+    if kind == "extra_forbidden":
+        return f"`{path}` must be left out here, got {shown(given)}."
     if kind == "value_error":
         return f"`{path}` {error['ctx']['error']}."
     if kind in ("model_type", "model_attributes_type", "dict_type"):

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validat
 from pymc_features._checks import is_number
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.records import INTERPOLATIONS, Interpolation
-from pymc_features.update.config.entries import Vector, priors_in
+from pymc_features.update.config.entries import STRICT, Vector, key, priors_in
 from pymc_features.update.config.keys import shown
 
 ERRORS = {"sigma": "m/s^2", "correlation_time": "s", "m": "-"}  # parameters of the errors, with their units
@@ -31,12 +31,7 @@ DRAWS, CHAINS = 10_000_000, 1000  # at most: more would end without memory, afte
 class Section(BaseModel):
     """A table of the file: unknown keys are refused, values are not converted."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-def key(description, default=..., **limits):
-    """A key with the words that complete "must be"."""
-    return Field(default, description=description, **limits)
+    model_config = STRICT
 
 
 def parameters_of(key, section):

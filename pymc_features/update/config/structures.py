@@ -1,12 +1,11 @@
 """The section [structure]: a class for each structure of the package, and the structure that a file makes."""
 
 import inspect
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
 import numpy as np
-from pydantic import Discriminator, Field, PlainValidator, Tag, create_model
+from pydantic import Discriminator, Field, Tag, create_model
 
 from pymc_features import structures
 from pymc_features.exceptions import ConfigError
@@ -14,35 +13,22 @@ from pymc_features.io import read_matrices
 from pymc_features.io.reading.labels import system_of_units
 from pymc_features.structures import AffineStructure, Input, Kind, Structure
 from pymc_features.structures import specimens as specimens_of
-from pymc_features.update.config.entries import (
-    GROUPS,
-    TAPER,
-    ByStorey,
-    Entry,
-    Grouped,
-    Matrix,
-    MatrixEntry,
-    Taper,
-    Terms,
-    evaluated,
-    matrix,
-    priors_in,
-)
+from pymc_features.update.config import entries
+from pymc_features.update.config.entries import GROUPS, ONE, TAPER, Matrix, Taper, evaluated, priors_in
 from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import Section, parameters_of
 
 MOST_MODES = 10
 CATALOGUE = {cls.__name__: cls for cls in (*structures.STRUCTURES, *specimens_of.SPECIMENS)}
 PARTS = {cls.__name__: cls for cls in (*structures.DAMPINGS, *specimens_of.DETERIORATIONS)}
-ONE = "a number, the name of a prior, or {prior = NAME, times = NUMBER}"
 A_MATRIX = "a file with matrices, {file = FILE, name = NAME}, or rows of numbers"
-BY_STOREY = ByStorey, f"{ONE}, or a list of these, {GROUPS} or {TAPER}"
+BY_STOREY = entries.ByStorey, f"{ONE}, or a list of these, {GROUPS} or {TAPER}"
 #: Type and words of the keys of each kind; those of dampings follow below.
 TYPES: dict[Kind, tuple[Any, str]] = {
-    Kind.SCALAR: (Entry, ONE),
-    Kind.VECTOR: (Grouped, f"{ONE}, or a list of these, or {GROUPS}"),
-    Kind.MATRIX: (MatrixEntry, A_MATRIX),
-    Kind.MATRICES: (Terms, "a list of matrices, {} where a parameter does not act"),
+    Kind.SCALAR: (entries.Entry, ONE),
+    Kind.VECTOR: (entries.Grouped, f"{ONE}, or a list of these, or {GROUPS}"),
+    Kind.MATRIX: (entries.MatrixEntry, A_MATRIX),
+    Kind.MATRICES: (entries.Terms, "a list of matrices, {} where a parameter does not act"),
 }
 
 
@@ -92,7 +78,7 @@ TYPES[Kind.DAMPING] = (
 )
 OR_MATRIX = [
     *(Annotated[section, Tag(name)] for name, section in DAMPINGS.items()),
-    Annotated[Any, PlainValidator(matrix), Tag("matrix")],
+    Annotated[entries.MatrixEntry, Tag("matrix")],
 ]
 TYPES[Kind.DAMPING_OR_MATRIX] = (
     Annotated[Union[tuple(OR_MATRIX)], Discriminator(damping_kind)],  # noqa: UP007
@@ -246,4 +232,4 @@ def spread(name, value, n, every):
             f"`structure.{name}` must taper over two storeys or more, with one value of `times` for each or "
             f"for all, got {what}."
         )
-    return replace(value, n=n)
+    return value.model_copy(update={"n": n})
