@@ -400,7 +400,7 @@ def read_and_tell(config, console):
                 say(console, f"warning: {sentence}", "yellow")
     if problem.structure.has_modes:
         say(console, problem.sentence)
-    for data in problem.data:
+    for data in problem.shown:
         tell(data.told(), console)
     return problem, told
 
@@ -423,7 +423,7 @@ def check(options, console):
     config = Path(options.config)
     problem, told = read_and_tell(config, console)
     out = Path(options.out or config.with_name(f"{config.stem}-check.png"))
-    for data in problem.data:
+    for data in problem.shown:
         path = out if data is problem.first else out.with_name(f"{out.stem}-modes{out.suffix}")
         tell(data.check(problem, path), console)
     candidates_of(problem)  # errors of which are found now
@@ -432,7 +432,7 @@ def check(options, console):
         from pymc_features.update.sensitivity import remaining, sensitivity_sentences
 
         tell(sensitivity_sentences(remaining(problem)), console)
-    if not told and any(data.is_checked for data in problem.data):
+    if not told and any(data.is_checked for data in problem.shown):
         say(console, "nothing was found wrong")
     elif not told and problem.structure.has_modes:
         say(console, "nothing could be checked, so that nothing is known of what is wrong")

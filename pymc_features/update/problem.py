@@ -18,6 +18,7 @@ from pymc_features.update.configuration import Config, read_config
 from pymc_features.update.kinds import KINDS, KINDS_OF_DATA
 from pymc_features.update.kinds.base import KindOfData, Verdict
 from pymc_features.update.kinds.external import ProgramOf
+from pymc_features.update.kinds.histories import Histories
 from pymc_features.update.kinds.modal import Modal
 from pymc_features.update.plausibility.findings import of_priors
 from pymc_features.update.plausibility.prior_modes import PriorModes, moved_mass, prior_modes
@@ -67,15 +68,19 @@ class Problem:
         return self.data[0]
 
     @property
-    def measured(self):
+    def shown(self) -> list[KindOfData]:
+        """The data, and what was found in them and is only compared with the result."""
+        return [one for data in self.data for one in (data, *data.beside)]
+
+    @property
+    def measured(self) -> Histories | None:
         """Excitation and responses; None where there is none of them."""
-        return getattr(self.first, "measured", None)
+        return self.first if isinstance(self.first, Histories) else None
 
     @property
     def modal(self) -> Modal | None:
-        """Identified modes; of ambient vibration those that the channels have, which are only compared."""
-        found = [data for data in self.data if isinstance(data, Modal)]
-        return found[0] if found else getattr(self.first, "modes", None)
+        """Identified modes; of ambient vibration those that the channels have."""
+        return next((data for data in self.shown if isinstance(data, Modal)), None)
 
     def with_data(self, *data) -> "Problem":
         """Return the structure and priors with other data."""
@@ -99,7 +104,7 @@ class Problem:
 
     def verdict(self, result, kind: str) -> Verdict:
         """Judge how one likelihood of a result meets all data."""
-        found = [data.verdict(self, result, kind) for data in self.data]
+        found = [data.verdict(self, result, kind) for data in self.shown]
         return Verdict([s for one in found for s in one.sentences], all(one.explains for one in found))
 
     def settings(self) -> dict:

@@ -72,7 +72,7 @@ def run_update(
     posteriors = {kind: parts[kind]["posterior"].to_dataset() for kind in reported}
     groups = compared(problem, candidates, parts, running)
     groups |= populations(problem, members, parts, running)
-    for data in problem.data:
+    for data in problem.shown:
         groups |= data.shared(problem)
     if problem.structure.has_modes:  # not kept in parts: other nodes are no other draws
         groups["geometry"] = geometry(problem)

@@ -146,7 +146,7 @@ def run_part(problem, kind, own, base, running: Running) -> xr.DataTree:
             idata = calibrated(problem, kind, base, model, running)
         part = {name: idata[name].to_dataset() for name in GROUPS if name in idata.children}
         part["prior"] = draws_of_priors(problem, names_for(problem, kind), PRIOR_DRAWS)
-        for data in problem.data:
+        for data in problem.shown:
             part |= data.predict(problem, kind, model, idata)
         if problem.structure.has_modes:
             part["modal"] = frequencies(problem, part["posterior"])

@@ -32,7 +32,7 @@ def test_log_density_is_that_of_a_sliced_response(tmp_path):
     kind = KINDS, 'kinds = ["CN-TAU"]\ncorrelation_time = "tau"'
     problem = read_problem(written(tmp_path, kind, *pairs))
     measured = problem.measured
-    assert measured.channels.sizes["time"] == 501 == measured.base.size
+    assert measured.channels.sizes["time"] == 501 == measured.motion.size
     assert measured.channels["time"].values[[0, -1]] == pytest.approx([4.0, 9.0])
     with pm.Model() as own:
         k = [pm.LogNormal(f"k{i}", mu, 0.2) for i, mu in ((1, 6.0), (2, 6.2), (3, 6.3))]

@@ -142,7 +142,7 @@ def stands(path):
     """All that happens before something is sampled, and the data of the report."""
     problem = read_problem(path)
     problem.settings()
-    for event in getattr(problem.first, "events", ()):
+    for event in getattr(problem.first, "events", {}).values():
         assert declare(problem.first.at(problem, event), problem.kinds[0]).free_RVs
     for kind in problem.kinds:
         tolerance = (problem.config.likelihood.epsilon or 1.0) if kind == "ABC" else None

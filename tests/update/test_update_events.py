@@ -130,19 +130,17 @@ def test_a_change_is_reported(made):
 def test_the_posterior_is_that_of_the_sequence(made):
     """Of one model for each event, with the settings of the file: its last state is what is saved."""
     problem, (models, settings, state) = read_problem(made / "bridge.toml"), ASKED
-    assert [event.measured.step for event in problem.first.events] == [0.02, 0.02, 0.01]
-    for model, event in zip(models, problem.first.events, strict=True):
+    assert [event.step for event in problem.first.events.values()] == [0.02, 0.02, 0.01]
+    for model, event in zip(models, problem.first.events.values(), strict=True):
         data = model.rvs_to_values[model["y"]].data
-        np.testing.assert_array_equal(data, event.measured.channels.values)
+        np.testing.assert_array_equal(data, event.channels.values)
     expected = {"draws": 100, "chains": 2, "random_seed": seed_of(problem, "NORM"), "change": 0.01}
     assert expected.items() <= settings.items()
     found = results(made)
     for name in ("k1", "k2", "sigma"):
         np.testing.assert_array_equal(found["posterior"][name], state["posterior"][name])
     # what is drawn is the response to the last event
-    assert (
-        found["observed_data"]["y"].sizes["time"] == problem.first.events[2].measured.channels.sizes["time"]
-    )
+    assert found["observed_data"]["y"].sizes["time"] == problem.first.channels.sizes["time"]
 
 
 def test_one_event_more_samples_one_event(made, tmp_path, monkeypatch, capsys):
@@ -187,16 +185,16 @@ def test_a_folder_for_each_event(made, tmp_path):
         (tmp_path / "events" / file.stem).mkdir()
         file.rename(tmp_path / "events" / file.stem / "motion.csv")
     problem = read_problem(path)
-    assert [event.name for event in problem.first.events] == ["event-8", "event-9", "event-10"]
+    assert list(problem.first.events) == ["event-8", "event-9", "event-10"]
     of_files = read_problem(made / "bridge.toml")
-    for one, other in zip(problem.first.events, of_files.first.events, strict=True):
-        np.testing.assert_array_equal(one.measured.channels, other.measured.channels)
+    for one, other in zip(problem.first.events.values(), of_files.first.events.values(), strict=True):
+        np.testing.assert_array_equal(one.channels, other.channels)
     # a motion of the base beside them, of its own in each folder
     text = path.read_text().replace('base = "base"\n', "")
     path.write_text(text + '\n[record]\npath = "motion.csv"\ncolumn = "base"\n')
     np.testing.assert_array_equal(
-        read_problem(path).first.events[2].measured.record.acceleration,
-        of_files.first.events[2].measured.record.acceleration,
+        read_problem(path).first.record.acceleration,
+        of_files.first.record.acceleration,
     )
 
 
@@ -284,7 +282,7 @@ def test_identified_modes_count_once(made, tmp_path):
     text = path.read_text() + MODES.replace("0.01", "1e-4")
     path.write_text(text)
     problem = read_problem(path)
-    models = [declare(problem.first.at(problem, one), "NORM") for one in problem.first.events]
+    models = [declare(problem.first.at(problem, one), "NORM") for one in problem.first.events.values()]
     assert [[v.name for v in model.observed_RVs] for model in models] == [["y", "modal"], ["y"]]
     path.write_text(text.replace("[89]", "8"))
     assert cli.main(["update", str(path), "--cores", "1"]) == 0

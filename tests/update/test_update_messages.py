@@ -31,7 +31,7 @@ BROKEN = {  # what is said: what is changed, into what
     "`data.base` must be among the sensors base": ('base = "base" ', 'base = "ground"'),
     "`data.sensors` must be one for each of the 3 degrees of freedom of the structure,": (', "floor3"]', "]"),
     "`data.dofs` must have one value for each of": (DOFS, "dofs = [0, 1]"),
-    "`data.dofs` must be different numbers from 0 to 2": (DOFS, "dofs = [0, 1, 3]"),
+    "`data.dofs` must be different degrees of freedom from 0 to 2": (DOFS, "dofs = [0, 1, 3]"),
     "`data.rows` must hold two rows or more from 0 on, got [10, 10]": (DOFS, "rows = [10, 10]"),
     "`data.rows` must lie within the": (DOFS, "rows = [0, 900000]"),
     "`data.scale` must be a factor for all sensors, or a table": (DOFS, 'scale = "g"'),

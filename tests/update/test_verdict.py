@@ -18,7 +18,6 @@ from pymc_features import (
     synthetic_earthquake,
 )
 from pymc_features.update import read_problem, run_update, write_example
-from pymc_features.update.kinds.channels import Measured
 from pymc_features.update.kinds.responses import Responses, measured_gain, residuals_of
 from pymc_features.update.report.document import overlap_of
 from support.update_files import replaced
@@ -34,20 +33,21 @@ def judged(measured, response, structure, record=SHAKING, low=None, high=None):
     sensors = [f"floor{i}" for i in range(1, len(measured) + 1)]
     channels = xr.DataArray(measured, dims=("sensor", "time"), coords={"sensor": sensors} | TIMES)
     kept = SimpleNamespace(low=low, high=high) if low or high else None
-    measurements = Measured(record, channels, 0.01, "simulated")
     config = SimpleNamespace(processing=SimpleNamespace(band_pass=kept), cyclic=None)
-    responses = Responses(config, measurements, [])
+    responses = Responses(config, record, channels, 0.01, "simulated", [])
     modes = structure.modes()
     dims = ("chain", "draw", "mode")
     bands = xr.DataArray(response[None], dims=("quantile", "sensor", "time"), coords={"quantile": [0.5]})
+    relative = np.sqrt(np.square(measured - response).sum(axis=1) / np.square(measured).sum(axis=1))
+    bands = xr.Dataset({"response": bands, "normalised_error": ("sensor", relative)}, {"sensor": sensors})
     columns = {"natural_frequency": modes.natural_frequencies, "damping_ratio": modes.damping_ratios}
     part = {
         "posterior": xr.Dataset(),
         "observed_data": xr.Dataset({"y": channels}),
-        "bands": xr.Dataset({"response": bands.assign_coords(sensor=sensors)}),
+        "bands": bands,
         "modal": xr.Dataset({name: (dims, values[None, None]) for name, values in columns.items()}),
     }
-    data = xr.Dataset({"peak_frequency": ("peak", measured_gain(measurements)[1])})
+    data = xr.Dataset({"peak_frequency": ("peak", measured_gain(responses)[1])})
     tree = {f"NORM/{name}": dataset for name, dataset in part.items()} | {"data": data}
     return responses.verdict(None, xr.DataTree.from_dict(tree), "NORM")
 
@@ -188,11 +188,9 @@ def test_short_records_and_still_bases_raise_no_warning(size):
     rng = np.random.default_rng(0)
     values = rng.standard_normal((2, size))
     base = np.zeros(size) if size == 600 else rng.standard_normal(size)
-    measured = SimpleNamespace(step=0.01, base=base)
-    bands = xr.DataArray(0.9 * values[None], {"quantile": [0.5]}, ("quantile", "sensor", "time"))
-    part = {"observed_data": {"y": xr.DataArray(values)}, "bands": {"response": bands}}
+    measured = SimpleNamespace(step=0.01, motion=base, channels=xr.DataArray(values))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = residuals_of(measured, (1.0, 20.0), part, np.array([3.0, 9.0]))
-    np.testing.assert_allclose(found.relative, 0.1)
+        found = residuals_of(measured, 0.1 * values, np.array([3.0, 9.0]))
+    np.testing.assert_allclose(found.left, 0.01)
     assert np.isfinite(found.coherence).all()

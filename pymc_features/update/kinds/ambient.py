@@ -19,22 +19,13 @@ from pymc_features.ambient.response import parameters_of
 from pymc_features.exceptions import AmbientWarning, ConfigError
 from pymc_features.likelihoods import DIMS, Likelihood
 from pymc_features.signals.spectra import averaged_spectra
-from pymc_features.storage import fingerprint
 from pymc_features.structures import Structure
 from pymc_features.update.config.entries import Vector, evaluated
-from pymc_features.update.config.keys import named_key, refuse
+from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import Section, key, window
-from pymc_features.update.kinds.base import (
-    QUANTILES,
-    KindOfData,
-    Verdict,
-    channels_table,
-    check_positive,
-    drawn_to,
-    thinned,
-)
+from pymc_features.update.kinds import base, modal
+from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict
 from pymc_features.update.kinds.channels import checked_dofs, read_whole
-from pymc_features.update.kinds.modal import WITHOUT_SHAPES, Modal, ModalSection
 
 AMBIENT = Likelihood(
     "AMBIENT",
@@ -52,17 +43,17 @@ DRAWS = 50
 LEAKS = 8  # quarters of a resolution on each side from which averaged spectra take in
 FEWEST, PARTS = 24, 8  # frequencies of a part of a band, and parts of a band
 CERTAIN = 6.0  # standard deviations of a part of a band off
-APART = 5.0  # standard deviations between an identified frequency and that of the model
 MUCH = 1.5  # factor of the power that is worth a word
+GOT = 'with `data.excitation = "ambient"`, got it.'
 LEFT_OUT = {  # keys that mean nothing here, and why
-    "record likelihood events modal": "The spectra of the channels are compared, as [ambient] says.",
-    "data.base": "The motion of the base is not known, or there is none.",
-    "data.gaps": "Take a part of the record without gaps.",
-    "processing.band_pass": "Choose by `ambient.bands` which frequencies are compared.",
-    "processing.compare": "Choose by `processing.trim` what is compared.",
-    "processing.check_band": "Channels are checked against a base.",
-    "report.natural_frequencies": "Those of the channels are identified and shown.",
-    "report.quantities": "No response is predicted.",
+    "record likelihood events modal": f"{GOT} The spectra of the channels are compared, as [ambient] says.",
+    "data.base": f"{GOT} The motion of the base is not known, or there is none.",
+    "data.gaps": f"{GOT} Take a part of the record without gaps.",
+    "processing.band_pass": f"{GOT} Choose by `ambient.bands` which frequencies are compared.",
+    "processing.compare": f"{GOT} Choose by `processing.trim` what is compared.",
+    "processing.check_band": f"{GOT} Channels are checked against a base.",
+    "report.natural_frequencies": f"{GOT} Those of the channels are identified and shown.",
+    "report.quantities": f"{GOT} No response is predicted.",
 }
 
 
@@ -109,9 +100,9 @@ class Ambient(KindOfData):
     dofs: list[int]  # degree of freedom of each sensor
     structure: Structure  # what the priors expect
 
-    key, section = "ambient", AmbientSection
-    own = (AMBIENT,)
-    likelihoods = [AMBIENT.name]
+    key, section, refused = "ambient", AmbientSection, LEFT_OUT
+    own, likelihoods = (AMBIENT,), [AMBIENT.name]
+    is_checked = False  # but by the modes beside
 
     @classmethod
     def is_asked(cls, config):
@@ -125,8 +116,7 @@ class Ambient(KindOfData):
                 '`ambient` must be given with `data.excitation = "ambient"`: a table with `force` and '
                 "`error`, the spectral densities of forces and errors."
             )
-        for keys, advice in LEFT_OUT.items():
-            refuse(config, keys, f'with `data.excitation = "ambient"`, got it. {advice}')
+        super().check_sections(config)
 
     @classmethod
     def read(cls, problem):
@@ -135,7 +125,7 @@ class Ambient(KindOfData):
         dofs = checked_dofs(config, problem.expected.n_dof)
         n_bands = None if asked.bands == "auto" else len(asked.bands)
         for name in ("force", "error"):
-            check_positive(f"ambient.{name}", getattr(asked, name), problem.priors, n_bands, "bands")
+            base.check_positive(f"ambient.{name}", getattr(asked, name), problem.priors, n_bands, "bands")
         channels, step, source = read_whole(config, problem.folder)
         with named_key("ambient.bands"):
             bands = propose_bands(channels) if asked.bands == "auto" else asked.bands
@@ -148,36 +138,33 @@ class Ambient(KindOfData):
         return cls(config, channels, step, bands, source, dofs, problem.expected)
 
     @cached_property
-    def modes(self) -> Modal | None:
+    def beside(self):
         """Modes identified in the bands, when they are first asked for: that takes seconds.
 
-        None if there are none, or more than the structure has.
-
-        Warns
-        -----
-        AmbientWarning
-            If a band has no mode, or a mode is too narrow, as that of a machine.
+        There are none, and an AmbientWarning, if no band has one, or they are more than the structure has.
         """
         try:
             with named_key("ambient.bands"):
                 data = identify_modes(self.channels, self.bands)
         except ConfigError as error:
             warnings.warn(f"No modes were identified to compare with: {error}", AmbientWarning, stacklevel=2)
-            return None
-        dofs, partner = self.dofs, PARTNER
-        if len(dofs) < 2:  # a shape of one entry says nothing
-            data, dofs, partner = replace(data, **WITHOUT_SHAPES), [], {"sigma_f": PARTNER["sigma_f"]}
-        section = ModalSection(file="", shapes=bool(dofs), **partner)
-        try:
-            return Modal.made(section, data, dofs, self.structure, "the spectra in the bands")
-        except ConfigError:
+            return ()
+        n, most = len(data), modal.most_modes(self.structure)
+        if n > most:
             warnings.warn(
-                f"The channels have {len(data)} modes in the bands, more than the structure: it cannot "
-                "explain all of them. Choose `ambient.bands` around those that it has.",
+                f"The channels have {n} modes in the bands, more than the structure: it cannot explain all "
+                "of them. Choose `ambient.bands` around those that it has.",
                 AmbientWarning,
                 stacklevel=2,
             )
-            return None
+            return ()
+        dofs, partner = self.dofs, PARTNER
+        if len(dofs) < 2:  # a shape of one entry says nothing
+            data, dofs, partner = replace(data, **modal.WITHOUT_SHAPES), [], {"sigma_f": PARTNER["sigma_f"]}
+        section, numbers = modal.ModalSection(file="", shapes=bool(dofs), **partner), list(range(1, n + 1))
+        source, n_modes = "the spectra in the bands", min(most, n + modal.SPARE)
+        found = modal.Modal(section, data, dofs, source, n_modes, numbers, numbers, is_fitted=False)
+        return (found,)
 
     @property
     def duration(self) -> float:
@@ -197,12 +184,8 @@ class Ambient(KindOfData):
         return dict(zip(self.config.data.sensors, self.dofs, strict=True))
 
     @property
-    def is_checked(self):
-        return self.modes is not None
-
-    def prints(self):
-        arrays = {"channels": self.channels.values, "bands": self.bands}
-        return {f"{k}_sha256": fingerprint(np.ascontiguousarray(v)) for k, v in arrays.items()}
+    def arrays(self):
+        return {"channels": self.channels.values, "bands": self.bands}
 
     def parameters(self, likelihood):
         return [value for *_, value in self.config.ambient.parameters()]
@@ -224,78 +207,51 @@ class Ambient(KindOfData):
             )
 
     def predict(self, problem, likelihood, model, idata):
-        """The spectra of the model, and its modes beside those of the channels."""
-        found = {"spectra": fitted_spectra(self, model, idata["posterior"].to_dataset())}
-        return found if self.modes is None else found | self.modes.predict(problem, likelihood, model, idata)
+        return {"spectra": fitted_spectra(self, model, idata["posterior"].to_dataset())}
 
     def shared(self, problem):
-        """Averages of the spectra of the channels over twenty parts: singular values; and their modes."""
+        """Averages of the spectra of the channels over twenty parts: singular values."""
         spectra = averaged_spectra(self.channels.values, self.step)
         values = (("value", "frequency"), spectra.singular_values[1:].T, {"units": "(m/s^2)^2/Hz"})
         found = xr.Dataset(
             {"singular_value": values, "band": (("band", "end"), np.asarray(self.bands))},
             {"frequency": spectra.frequencies[1:]},
         )
-        return {"singular_values": found} | ({} if self.modes is None else self.modes.shared(problem))
+        return {"singular_values": found}
 
     def draw(self, fitted=None):
         """Figure of the singular values, perhaps with those of the fitted model."""
-        identified = None if self.modes is None else self.modes.data.frequencies
+        identified = self.beside[0].data.frequencies if self.beside else None
         return plots.singular_values(self.channels, self.bands, frequencies=identified, fitted=fitted)
 
     def told(self):
         yield f"data: {self.source}, {self.duration:.4g} s at {self.step:.4g} s"
-        if self.modes is not None:
-            yield from self.modes.told()
 
     def check(self, problem, path):
-        """Draw the spectra with the bands; the line of the file with the bands, and the modes."""
-        wrote = drawn_to(path, self.draw)
+        """Draw the spectra with the bands; the line of the file with the bands."""
+        wrote = base.drawn_to(path, self.draw)
         yield f"bands = [{', '.join(f'[{low:.4g}, {high:.4g}]' for low, high in self.bands)}]  # Hz"
         yield wrote
-        if self.modes is not None:
-            yield from self.modes.check(problem, path.with_name(f"{path.stem}-modes{path.suffix}"))
 
     def tables(self, problem, result):
         bands = ", ".join(f"{low:.4g} to {high:.4g} Hz" for low, high in self.bands)
         how = ", proposed from the peaks of the spectra" if self.config.ambient.bands == "auto" else ""
         more = f". Nobody measured the forces. Compared are the frequencies {bands}{how}."
-        found = [channels_table(self.config, self.source, self.dofs, self.channels, self.step, more)]
-        return found if self.modes is None else found + self.modes.tables(problem, result)
+        return [base.channels_table(self, more)]
 
     def figures_of(self, problem, part, kind):
-        found = {"spectra": lambda: self.draw(part["spectra"].to_dataset())}
-        return found if self.modes is None else found | self.modes.figures_of(problem, part, kind)
+        return {"spectra": lambda: self.draw(part["spectra"].to_dataset())}
 
     def verdict(self, problem, result, kind):
-        """Whether the power in each part of the bands is what the model expects, and the modes are."""
-        found = [verdict_of_power(result[f"{kind}/spectra"].to_dataset())]
-        if self.modes is not None:
-            rows, sd = self.modes.rows(result[f"{kind}/matched"]), self.modes.data.frequency_sd
-            off = [abs(row.deviation(error)) for row, error in zip(rows, sd, strict=True)]
-            beside = [(z, row) for z, row in zip(off, rows, strict=True) if z > APART and row.has_partner]
-            if beside:
-                worst, row = max(beside)
-                sentence = (
-                    f"The identified mode {row.name} lies {worst:.0f} standard deviations from that of the "
-                    "model: the structure cannot have these frequencies together, and the intervals, which "
-                    "take it for right, are too narrow. Let more of it be uncertain."
-                )
-                found.append(Verdict([sentence], False))
-            found.append(self.modes.verdict(problem, result, kind))
-        return Verdict([s for one in found for s in one.sentences], all(one.explains for one in found))
+        return verdict_of_power(result[f"{kind}/spectra"].to_dataset())
 
 
 def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
     """Singular values of the spectra that a model makes, and how far the channels are from them.
 
-    Returns
-    -------
-    Dataset
-        `response` (quantile, value, frequency), singular values of the expected spectra inside the bands
-        [(m/s^2)^2/Hz], as Welch's method sees them; `ratio` (part), power of the channels over what is
-        expected, in all directions alike, F' E^-1 F / s, its mean over the draws and over the frequencies
-        between `low` and `high` [Hz], and its standard deviation `sd` if the model is right.
+    `response` (quantile, value, frequency) are singular values of the expected spectra inside the bands, as
+    Welch's method sees them; `ratio` (part) is the power of the channels over what is expected, in all
+    directions alike, F' E^-1 F / s, on average, `sd` its error if the model is right.
     """
     from scipy import signal  # a second to import
 
@@ -337,7 +293,7 @@ def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
 
 def parts_of_draws(model, posterior: xr.Dataset):
     """Frequencies, damping ratios, shapes, factors of forces and errors at some draws of the posterior."""
-    few, names = thinned(posterior, DRAWS), [rv.name for rv in model.free_RVs]
+    few, names = base.thinned(posterior, DRAWS), [rv.name for rv in model.free_RVs]
     settings = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}
     function = pytensor.function([model[name] for name in names], parameters_of(model["y"]), **settings)
     for chain, draw in np.ndindex(few.sizes["chain"], few.sizes["draw"]):

@@ -12,9 +12,9 @@ import xarray as xr
 from pymc_features import plots
 from pymc_features.exceptions import ConfigError
 from pymc_features.likelihoods import Likelihood
-from pymc_features.storage import write_atomically
+from pymc_features.storage import fingerprint, write_atomically
 from pymc_features.update.config.entries import Parameter, priors_in
-from pymc_features.update.config.keys import named_key
+from pymc_features.update.config.keys import named_key, refuse, shown
 from pymc_features.update.config.sections import Section
 from pymc_features.update.config.structures import modes_of
 
@@ -51,40 +51,25 @@ class KindOfData:
 
     Methods take the `Problem` that the data are part of, and the name of a likelihood. What they are for is
     said here; a kind says what is special about its own.
-
-    Attributes
-    ----------
-    key, section : str, type
-        Name and keys of its section in the file.
-    own : tuple of Likelihood
-        That no other kind has.
-    is_checked : bool
-        Whether `read` looks for what is wrong.
-    likelihoods : list of str
-        That are sampled where it is the first kind of a problem; others join what is sampled.
-    dofs : list of int
-        Degree of freedom of each sensor.
-    used : str
-        What they are, in words.
-    measures : str
-        Which motion the measured responses are, and in which unit; empty without responses.
-    band : tuple of two floats
-        Frequencies [Hz] that the data have.
-    identity : str
-        What a finished part is recognised by besides settings; data that may be added are no other problem.
-    placed : dict
-        Names of the sensors to their degrees of freedom.
     """
 
-    key: str
+    key: str  # name of its section in the file, and the section
     section: type[Section]
-    own: tuple[Likelihood, ...] = ()
-    is_checked: bool = True
-    likelihoods: list[str]
-    dofs: list[int]
-    used: str
-    measures = identity = ""
-    band = 0.0, np.inf
+    own: tuple[Likelihood, ...] = ()  # likelihoods that no other kind has
+    refused: dict[str, str] = {}  # sections and keys that mean nothing beside it, to what is said of them
+    is_checked: bool = True  # whether `read` looks for what is wrong
+    likelihoods: list[str]  # that are sampled where it is the first of a problem; others join what is sampled
+    dofs: list[int]  # degree of freedom of each sensor, and the names of the sensors to them
+    placed: dict[str, int] = {}
+    used: str  # what they are, in words
+    measures = ""  # which motion the measured responses are, and in which unit; empty without responses
+    band = 0.0, np.inf  # frequencies [Hz] that the data have
+    # of data that are recognised by arrays, names to arrays: with others it is another problem
+    arrays: dict[str, np.ndarray] = {}
+    identity = (
+        ""  # what a finished part is recognised by besides; data that may be added are no other problem
+    )
+    beside: tuple["KindOfData", ...] = ()  # what is found in the data, and compared with the result alone
 
     @classmethod
     def is_asked(cls, config) -> bool:
@@ -94,6 +79,8 @@ class KindOfData:
     @classmethod
     def check_sections(cls, config) -> None:
         """Raise ConfigError if another section says what means nothing beside it."""
+        for keys, words in cls.refused.items():
+            refuse(config, keys, words)
 
     @classmethod
     def read(cls, problem) -> "KindOfData":
@@ -122,12 +109,7 @@ class KindOfData:
 
     def prints(self) -> dict[str, str]:
         """What the data are recognised by, for settings: other data are another problem."""
-        return {}
-
-    @property
-    def placed(self) -> dict[str, int]:
-        """Names of the sensors to their degrees of freedom."""
-        return {}
+        return {f"{name}_sha256": fingerprint(values) for name, values in self.arrays.items()}
 
     def foretold(self, problem) -> list[str]:
         """What likelihoods cannot tell, before anything is sampled."""
@@ -169,12 +151,9 @@ def table(name, section, title="", columns=(), rows=(), note="") -> dict:
     return named | {"columns": list(columns), "rows": rows, "note": note}
 
 
-def channels_table(config, source, dofs, channels, step: float, more="", base=None) -> dict:
-    """Where channels (sensor, time) come from, what [processing] did, and how large they are; `more` follows.
-
-    `base` is the motion of the base, where it is known.
-    """
-    asked, steps = config.processing, [f"source is {source}"]
+def channels_table(data, more="", base=None) -> dict:
+    """Where channels come from, what [processing] did, `more`, and how large they and the `base` are."""
+    asked, steps = data.config.processing, [f"source is {data.source}"]
     if asked.detrend is not None:
         window = asked.detrend.window
         over = f" of {window[0]:g} to {window[1]:g} s" if window else ""
@@ -185,14 +164,12 @@ def channels_table(config, source, dofs, channels, step: float, more="", base=No
         steps.append(f"filtered to {' and '.join(corners)}")
     if asked.trim is not None:
         steps.append(f"window {asked.trim[0]:g} to {asked.trim[1]:g} s")
-    note = f"The {', '.join(steps)}. There are {channels.sizes['time']} samples at {step:.6g} s{more}"
-    histories = dict(zip(channels["sensor"].values, channels.values, strict=True))
-    places = [*dofs]
-    if base is not None:
-        histories, places = {"base": base} | histories, ["", *dofs]
+    n_times, places = data.channels.sizes["time"], data.placed.values() or [""] * len(data.dofs)
+    note = f"The {', '.join(steps)}. There are {n_times} samples at {data.step:.6g} s{more}"
+    histories = [*zip(data.channels["sensor"].values, places, data.channels.values, strict=True)]
     rows = [
         (name, dof, f"{np.nanmax(np.abs(values)):.4g}", f"{np.sqrt(np.nanmean(values**2)):.4g}")
-        for (name, values), dof in zip(histories.items(), places, strict=True)
+        for name, dof, values in ([] if base is None else [("base", "", base)]) + histories
     ]
     return table("channels", "data", "Channels", SENSORS, rows, note.strip())
 
@@ -210,6 +187,15 @@ def check_positive(key: str, value, priors, n=None, each="", advice="", can_be_z
                 f"`{key}` must be positive, got the prior `priors.{one.prior}` with the median {middle:g}. "
                 "Take a distribution of positive numbers."
             )
+
+
+def check_dofs(key: str, dofs, size: int) -> None:
+    """Refuse degrees of freedom that are not there, or named twice."""
+    if len(set(dofs)) < len(dofs) or not all(0 <= dof < size for dof in dofs):
+        raise ConfigError(
+            f"`{key}` must be different degrees of freedom from 0 to {size - 1}, got {shown(dofs)}. 0 is "
+            "next to the base."
+        )
 
 
 # ---- the model, and draws ----
@@ -276,15 +262,12 @@ def modes_of_draws(problem, draws: xr.Dataset, n_modes: int | None):
 
 def frequencies(problem, posterior: xr.Dataset) -> xr.Dataset:
     """Natural frequencies [Hz] and damping ratios [-] of draws (chain, draw, mode); NaN if impossible."""
-    few = thinned(posterior[problem.structure.names], MODAL_DRAWS)
-    modes = {
-        place: (found.natural_frequencies, found.damping_ratios)
-        for place, found in modes_of_draws(problem, few, problem.structure.n_modes)
-    }
-    n_modes = next(iter(modes.values()))[0].size
-    found = np.full((2, few.sizes["chain"], few.sizes["draw"], n_modes), np.nan)
-    for place, values in modes.items():
-        found[(slice(None), *place)] = values
+    few, found = thinned(posterior[problem.structure.names], MODAL_DRAWS), None
+    for (chain, draw), modes in modes_of_draws(problem, few, problem.structure.n_modes):
+        if found is None:
+            n_modes = modes.natural_frequencies.size
+            found = np.full((2, few.sizes["chain"], few.sizes["draw"], n_modes), np.nan)
+        found[:, chain, draw] = modes.natural_frequencies, modes.damping_ratios
     dims = ("chain", "draw", "mode")
     parts = {
         "natural_frequency": (dims, found[0], {"units": "Hz"}),

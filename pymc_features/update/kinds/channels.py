@@ -1,9 +1,9 @@
-"""From files to the motion of the base and the measured responses, processed alike and checked."""
+"""From files to measured channels, processed alike, and checked against the base and the priors."""
 
 import json
 import re
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import ceil
 from pathlib import Path
 
@@ -13,13 +13,12 @@ import xarray as xr
 from pymc_features import datasets, signals
 from pymc_features.exceptions import ChannelWarning, ConfigError, PriorWarning
 from pymc_features.io import read_channels, read_channels_with_gaps, read_record
-from pymc_features.io.reading.labels import SI
-from pymc_features.records import EVEN, CyclicTest, Record
+from pymc_features.records import EVEN
 from pymc_features.signals.channels import check_window
 from pymc_features.update.config.keys import named_key, shown
 from pymc_features.update.config.sections import MEASURED
+from pymc_features.update.kinds.base import check_dofs
 from pymc_features.update.plausibility.findings import Compared, of_data
-from pymc_features.update.plausibility.prior_modes import PriorModes
 from pymc_features.update.plausibility.resonances import spectra_of
 from pymc_features.update.plausibility.transfer import lags_confirmed, told_by_modes
 
@@ -32,129 +31,7 @@ FOLLOWS = 0.7  # coherence of one floor at least, where nobody has named the ban
 COHERENT = 0.5  # of a floor with the base, where the base moves
 MOVING, QUIET = 0.2, 3.0  # of the rms of the whole, and of the quietest period: a sensor that is in motion
 OFFSET = 1.0  # s: clocks that are not the same, and no lag
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What the model is updated with."""
-
-    record: Record | CyclicTest  # motion of the base, or displacement of a specimen
-    # (sensor, time) measured absolute accelerations [m/s^2], or forces [N], that are compared, at `step`, NaN
-    # in gaps; time 0 is that of the record
-    channels: xr.DataArray
-    step: float  # sampling interval of the channels [s], a multiple of the record's
-    source: str  # where they come from
-    first: int = 0  # sample of the response that the first of the channels is compared with
-    compared: Compared | None = None  # the data beside the priors; None where there is nothing to compare
-    # of `check_channels`; None where it was not asked for or could not tell anything
-    gains: xr.Dataset | None = None
-    checked: str = ""  # what was checked of the channels against each other, or why it was not
-
-    @property
-    def is_checked(self) -> bool:
-        """Whether floors follow the base somewhere, or a resonance was seen."""
-        return self.gains is not None or (self.compared is not None and bool(self.compared.peaks))
-
-    @property
-    def units(self) -> str:
-        """Units of the channels."""
-        return self.channels.attrs.get("units", "m/s^2")
-
-    @property
-    def with_units(self) -> xr.DataArray:
-        """The channels, of which nothing is said but their unit."""
-        return self.channels.drop_attrs().assign_attrs(units=self.units)
-
-    @property
-    def window(self) -> slice:
-        """Samples of the response, at `step`, that are compared."""
-        return slice(self.first, self.first + self.channels.sizes["time"])
-
-    @property
-    def samples(self) -> np.ndarray:
-        """Numbers (sensor,) of the samples that are compared."""
-        return self.channels.notnull().sum("time").values
-
-    @property
-    def left_out(self) -> str:
-        """Which part of each sensor is left out as a gap; empty without gaps."""
-        shares = 100.0 * (1.0 - self.samples / self.channels.sizes["time"])
-        named = zip(self.channels["sensor"].values, shares, strict=True)
-        return ", ".join(f"{share:.2g} % of {name}" for name, share in named if share > 0.0)
-
-    @property
-    def base(self) -> np.ndarray:
-        """Motion of the base (time,) at the times of the channels [m/s^2]."""
-        from scipy import signal  # a second to import
-
-        stride = round(self.step / self.record.dt)
-        return signal.resample_poly(self.record.acceleration, 1, stride)[self.window]
-
-    @property
-    def with_base(self) -> xr.DataArray:
-        """All channels (sensor, time) [m/s^2] after processing, the base first."""
-        values = np.vstack([self.base, self.channels.values])
-        names = ["base", *self.channels["sensor"].values.astype(str)]
-        coords = {"sensor": names, "time": self.channels["time"].values}
-        if self.units != "m/s^2":
-            coords["units"] = "sensor", ["m/s^2", *[self.units] * (len(names) - 1)]
-        return xr.DataArray(values, coords, ("sensor", "time"))
-
-
-def read_measured(config, folder: Path, prior: PriorModes) -> Measured:
-    """Read, correct, check and process the channels of a configuration; files are relative to `folder`.
-
-    Raises
-    ------
-    ConfigError
-        If a file is missing or broken, a sensor is not in it, a step of the processing fails, or clocks are
-        apart; the message names the key.
-
-    Warns
-    -----
-    PriorWarning
-        What the priors and the data contradict each other in.
-    ChannelWarning
-        What `check_channels` finds, and the lines of the file that correct it.
-    """
-    data, asked = config.data, config.processing
-    channels, source = read_corrected(config, folder)
-    title, section = f"{data.base or 'ground motion'}, {source}", data
-    if config.record is not None:
-        channels = with_motion(channels, config.record, folder)
-        title, section = f"{data.base or 'ground motion'}, {Path(config.record.path).name}", config.record
-    gaps = channels.values[0] != channels.values[0]
-    if gaps.any():
-        start = float(channels["time"][int(gaps.argmax())])
-        raise ConfigError(
-            f"`data.base` must have no gaps, for it shakes the model, got {gaps.sum()} samples missing in "
-            f"{data.base}, the first at {start:g} s. Cut the files to one side by `data.rows`, or give the "
-            "motion in [record]."
-        )
-    channels = detrended(channels, asked)
-    with named_key("processing.check_band"):
-        compared, gains, checked = check(channels, config, prior)
-    if asked.band_pass is not None:
-        corners = asked.band_pass.low, asked.band_pass.high
-        with named_key("processing.band_pass"):
-            channels = signals.band_pass(channels, *corners, order=asked.band_pass.order)
-    if asked.trim is not None:
-        with named_key("processing.trim"):
-            warn_of_motion(channels, asked.trim[0], compared.first or prior.first)
-            channels = signals.trim(channels, *asked.trim)
-    channels = channels.drop_vars("units", errors="ignore")  # of which there may be two
-    base = channels.isel(sensor=0).assign_attrs(units="m/s^2")
-    record = Record.from_channel(base, name=title, interpolation=section.interpolation)
-    with named_key("processing.decimate"):
-        floors = signals.decimate(channels.isel(sensor=slice(1, None)), asked.decimate)
-    floors, first = part_compared(floors.assign_attrs(units=SI[MEASURED[data.quantity]]), asked)
-    for name, is_gap in zip(floors["sensor"].values, floors.isnull().all("time").values, strict=True):
-        if is_gap:
-            raise ConfigError(
-                f"`data.sensors` must have samples to compare, got a gap from end to end of {name} (filters "
-                "and decimation widen gaps). Leave it out."
-            )
-    return Measured(record, floors, asked.decimate * record.dt, source, first, compared, gains, checked)
+NO_CORRECTION = {"scale": 1.0, "delay": 0.0}
 
 
 def read_corrected(config, folder: Path) -> tuple[xr.DataArray, str]:
@@ -164,12 +41,11 @@ def read_corrected(config, folder: Path) -> tuple[xr.DataArray, str]:
         channels, source = read_all(data, folder)
     known = channels["sensor"].values.astype(str).tolist()
     wanted = [*filter(None, [data.base]), *data.sensors]
-    for name in wanted:
-        if name not in known:
-            key = "base" if name == data.base else "sensors"
-            raise ConfigError(
-                f"`data.{key}` must be among the sensors {', '.join(known)}, got {shown(name)}."
-            )
+    if strangers := [name for name in wanted if name not in known]:
+        key = "base" if strangers[0] == data.base else "sensors"
+        raise ConfigError(
+            f"`data.{key}` must be among the sensors {', '.join(known)}, got {shown(strangers[0])}."
+        )
     with named_key("data"):
         channels = signals.correct(channels, scale=data.scale, delay=data.delay)
     if data.rows is not None:
@@ -201,17 +77,16 @@ def read_all(data, folder) -> tuple[xr.DataArray, str]:
     """Every channel of the files of [data], and the names of the files."""
     if data.dataset is not None:
         return datasets.mini_shake_table(data.event), f"{data.dataset} ({data.event})"
-    files = paths = data.files
-    if isinstance(files, dict):
+    if isinstance(data.files, dict):
         paths = {}
-        for name, given in files.items():
+        for name, given in data.files.items():
             own = {"file": given} if isinstance(given, str) else given.model_dump(exclude_none=True)
             quantity = "acceleration" if name == data.base else MEASURED[data.quantity]
             paths[name] = own | {"file": folder / own["file"], "quantity": quantity}
         names = [own["file"] for own in paths.values()]
     else:
-        names = files if isinstance(files, list) else [files]
-        paths = [folder / file for file in files] if isinstance(files, list) else folder / files
+        names = data.files if isinstance(data.files, list) else [data.files]
+        paths = [folder / name for name in names] if isinstance(data.files, list) else folder / data.files
     keys = {"columns", "units", "dt", "clock", "clock_units", "skip", "wrapped", "resample"}
     settings = data.model_dump(include=keys, exclude_none=True)
     source = ", ".join(Path(name).name for name in names)
@@ -268,34 +143,23 @@ def part_compared(floors, asked) -> tuple[xr.DataArray, int]:
 def checked_dofs(config, size) -> list[int]:
     """A degree of freedom for each sensor."""
     sensors, dofs = config.data.sensors, config.data.dofs
-    if dofs is None:
-        if len(sensors) != size:
+    if len(sensors) != (size if dofs is None else len(dofs)):
+        if dofs is None:
             raise ConfigError(
                 f"`data.sensors` must be one for each of the {size} degrees of freedom of the structure, got "
                 f"{len(sensors)}. Say by `data.dofs` where they are."
             )
-        return list(range(size))
-    if len(dofs) != len(sensors):
         raise ConfigError(
             f"`data.dofs` must have one value for each of the {len(sensors)} sensors, got {len(dofs)}."
         )
-    if len(set(dofs)) < len(dofs) or not all(0 <= dof < size for dof in dofs):
-        raise ConfigError(
-            f"`data.dofs` must be different numbers from 0 to {size - 1}, got {shown(dofs)}. 0 is next "
-            "to the base."
-        )
-    return dofs
+    check_dofs("data.dofs", dofs or [], size)
+    return list(range(size)) if dofs is None else dofs
 
 
-def check(channels, config, prior) -> tuple[Compared, xr.Dataset | None, str]:
-    """Compare the channels, base first, with the priors, and check them where floors follow the base.
-
-    That is in the band of the file, but below the first natural frequency that the data show, or the priors
-    where they do not. Returns what was found as `Measured` has it.
-    """
+def check(channels, config, dofs, prior) -> tuple[Compared, xr.Dataset | None, str]:
+    """Compare the channels, base first, with the priors, and with each other where floors follow the base."""
     data, asked, kept = config.data, config.processing, config.processing.band_pass
     step = signals.sampling_step(channels)
-    dofs = data.dofs or list(range(len(data.sensors)))
     start, end = asked.compare or asked.trim or (0.0, channels.sizes["time"] * step)
     pass_band = (0.0, np.inf) if kept is None else (kept.low or 0.0, kept.high or np.inf)
     compared = of_data(channels, step, prior, dofs, data.quantity, duration=end - start, pass_band=pass_band)
@@ -309,9 +173,8 @@ def check(channels, config, prior) -> tuple[Compared, xr.Dataset | None, str]:
     else:
         reason = "" if band == asked.check_band else why_not(channels, band)
     if reason:
-        one = np.ones(channels.sizes["sensor"])
-        columns = {"scale": ("sensor", one), "delay": ("sensor", 0.0 * one)}
-        gains = xr.Dataset(columns, {"sensor": channels["sensor"].values})
+        none = {name: ("sensor", np.full(channels.sizes["sensor"], n)) for name, n in NO_CORRECTION.items()}
+        gains = xr.Dataset(none, {"sensor": channels["sensor"].values})
     else:
         gains = gains_of(channels, band, compared, dofs, data.quantity)
     if of_modes := told_by_modes(gains, compared.placed):

@@ -9,16 +9,14 @@ from pymc_features import plots
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_cyclic_test
 from pymc_features.io.reading.labels import FORCES, LENGTHS
-from pymc_features.update.config.keys import named_key, refuse
+from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import Section, key
 from pymc_features.update.config.structures import SPECIMENS
 from pymc_features.update.kinds.base import Verdict, drawn_to, table
-from pymc_features.update.kinds.channels import Measured
-from pymc_features.update.kinds.histories import Histories, check_likelihood
+from pymc_features.update.kinds.histories import UNEXPLAINED, Histories
 
 LENGTH_OR_FORCE = f"two units, of displacement ({', '.join(LENGTHS)}) and of force ({', '.join(FORCES)})"
-UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation
-ROUGH = 0.1  # the same, worth a word where the error persists from sample to sample
+ROUGH = 0.1  # rms error over measured rms that is worth a word where the error persists from sample to sample
 PERSISTS = 0.5  # correlation of the error with that of the sample before
 ENERGY = 0.1  # relative error of the dissipated energy that is worth a word
 
@@ -47,6 +45,12 @@ class Cyclic(Histories):
     quantity = "restoring_force"
     is_checked = False
 
+    refused = {
+        "data record processing events modal ambient": "with [cyclic], got it. Displacement and force are "
+        "all there is.",
+        "report.natural_frequencies report.quantities": "with [cyclic], got it. There is no motion.",
+    }
+
     @classmethod
     def check_sections(cls, config):
         if config.structure.type not in SPECIMENS:
@@ -54,10 +58,6 @@ class Cyclic(Histories):
                 f"`structure.type` must be {' or '.join(SPECIMENS)} with [cyclic], got "
                 f"{config.structure.type}. Its displacement is prescribed."
             )
-        all_there_is = "with [cyclic], got it. Displacement and force are all there is."
-        refuse(config, "data record processing events modal ambient", all_there_is)
-        no_motion = "with [cyclic], got it. There is no motion."
-        refuse(config, "report.natural_frequencies report.quantities", no_motion)
         super().check_sections(config)
 
     @classmethod
@@ -70,26 +70,25 @@ class Cyclic(Histories):
             test, force = read_cyclic_test(
                 paths[0] if isinstance(asked.files, str) else paths, **asked.model_dump(exclude={"files"})
             )
-        check_likelihood(problem, 1)
         source = ", ".join(Path(name).name for name in names)
-        return cls(problem.config, Measured(test, force, test.dt, source), [0])
+        return cls(problem.config, test, force, test.dt, source, [0]).check_likelihood(problem)
 
     @property
     def used(self):
-        return f"{self.measured.record.n_times} measured forces of a cyclic test"
+        return f"{self.record.n_times} measured forces of a cyclic test"
 
     def bands(self, problem, likelihood, model, idata, response):
         """Add the displacement beside the time."""
         found = super().bands(problem, likelihood, model, idata, response)
-        return found.assign_coords(displacement=("time", self.measured.record.displacement))
+        return found.assign_coords(displacement=("time", self.record.displacement))
 
     def shared(self, problem):
-        displacement = {"displacement": ("time", self.measured.record.displacement, {"units": "m"})}
+        displacement = {"displacement": ("time", self.record.displacement, {"units": "m"})}
         channels = self.channels.drop_attrs().assign_attrs(units="N")
-        return {"data": xr.Dataset({"measured": channels}, displacement, {"source": self.measured.source})}
+        return {"data": xr.Dataset({"measured": channels}, displacement, {"source": self.source})}
 
     def told(self):
-        yield f"data: {self.measured.source}; {self.measured.record}"
+        yield f"data: {self.source}; {self.record}"
 
     def check(self, problem, path):
         """Draw measured loops and what the priors expect of them; how much of it they hold."""
@@ -102,13 +101,13 @@ class Cyclic(Histories):
 
     def tables(self, problem, result):
         """Add where displacement and force come from, and how large they are."""
-        displacement, force = self.measured.record.displacement, self.channels.values[0]
+        displacement, force = self.record.displacement, self.channels.values[0]
         rows = [
             (name, f"{values.min():.4g}", f"{values.max():.4g}")
             for name, values in (("displacement [m]", displacement), ("force [N]", force))
         ]
         note = (
-            f"The source, {self.measured.source}, has {force.size} samples. The loops dissipate "
+            f"The source, {self.source}, has {force.size} samples. The loops dissipate "
             f"{np.trapezoid(force, displacement):.4g} J."
         )
         own = table("cyclic", "data", "Cyclic test", ("", "smallest", "largest"), rows, note)
@@ -121,7 +120,7 @@ class Cyclic(Histories):
 
     def verdict(self, problem, result, kind):
         """Whether the median force meets the measured one."""
-        displacement = self.measured.record.displacement
+        displacement = self.record.displacement
         force = result[kind]["observed_data"]["y"].values[0]
         model = result[kind]["bands"]["response"].sel(quantile=0.5).values[0]
         error = force - model

@@ -4,10 +4,10 @@ import hashlib
 import json
 import re
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 import xarray as xr
@@ -20,8 +20,7 @@ from pymc_features.exceptions import ConfigError, StudyMismatchError
 from pymc_features.update.config.keys import shown
 from pymc_features.update.config.sections import Section, key
 from pymc_features.update.kinds.base import declare, kinds_of, table
-from pymc_features.update.kinds.channels import Measured, checked_dofs, read_measured
-from pymc_features.update.kinds.histories import WITH_EVIDENCE, check_likelihood, prints_of
+from pymc_features.update.kinds.histories import WITH_EVIDENCE
 from pymc_features.update.kinds.responses import Responses
 
 FEWEST_DRAWS = 100  # to which a density is fitted
@@ -67,18 +66,11 @@ class EventsSection(Section):
         return self
 
 
-class Event(NamedTuple):
-    """One event: the name of its file or folder, motion of the base and measured responses."""
-
-    name: str
-    measured: Measured
-
-
 @dataclass(frozen=True)
 class Events(Responses):
-    """Measured responses of several events; `measured` is the last of them."""
+    """Measured responses of several events, and besides those of the last of them."""
 
-    events: tuple[Event, ...] = ()  # in their order
+    events: dict[str, Responses] = field(default_factory=dict)  # by name, in their order
 
     key, section = "events", EventsSection
 
@@ -124,29 +116,28 @@ class Events(Responses):
 
         An event is a file with all channels, or a folder in which `data.files` and `record.path` are.
         """
-        config, events = problem.config, []
-        dofs = checked_dofs(config, problem.expected.n_dof)
+        config, events = problem.config, {}
         for name, path in places(config.events, problem.folder).items():
-            own = of_event(config, path)
+            folder = path if path.is_dir() else path.parent
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 try:
-                    measured = read_measured(own, path if path.is_dir() else path.parent, problem.prior)
+                    events[name] = cls.of_files(problem, of_event(config, path), folder)
                 except ConfigError as error:
                     raise ConfigError(f"event {name}: {error}") from error
             for warning in caught:
                 warnings.warn(f"{name}: {warning.message}", warning.category, stacklevel=2)
-            events.append(Event(name, measured))
-        check_likelihood(problem, len(dofs), *(event.measured for event in events))
-        return cls(config, events[-1].measured, dofs, tuple(events))
+        for event in events.values():
+            event.check_likelihood(problem)
+        return cls(**{one.name: getattr(event, one.name) for one in fields(event)}, events=events)
 
     @property
     def is_checked(self):
-        return any(event.measured.is_checked for event in self.events)
+        return any(event.is_checked for event in self.events.values())
 
     @property
     def used(self):
-        durations = [f"{event.measured.record.duration:.4g}" for event in self.events]
+        durations = [f"{event.record.duration:.4g}" for event in self.events.values()]
         return f"{len(self.dofs)} measured {self.plural} in events of {listed(durations)} s"
 
     def prints(self):
@@ -156,36 +147,33 @@ class Events(Responses):
     @property
     def identity(self):
         """What all events are recognised by."""
-        prints = [[event.name, *prints_of(event.measured).values()] for event in self.events]
+        keys = "base_sha256", "base_interpolation", "channels_sha256"
+        prints = [[name, *map(event.prints().get, keys)] for name, event in self.events.items()]
         return hashlib.sha256(json.dumps(prints).encode()).hexdigest()
 
-    def alone(self, event: Event) -> Responses:
-        """The responses of one event."""
-        return Responses(self.config, event.measured, self.dofs)
-
-    def at(self, problem, event: Event):
+    def at(self, problem, event: Responses):
         """The problem of one event alone; what was measured besides counts once, with the first."""
-        others = problem.data[1:] if event is self.events[0] else ()
-        return problem.with_data(self.alone(event), *others)
+        others = problem.data[1:] if event is next(iter(self.events.values())) else ()
+        return problem.with_data(event, *others)
 
     def told(self):
-        for event in self.events:
-            for one in self.alone(event).told():
-                yield one if isinstance(one, dict) else f"{event.name}: {one}"
+        for name, event in self.events.items():
+            for one in event.told():
+                yield one if isinstance(one, dict) else f"{name}: {one}"
 
     def check(self, problem, path):
         """Each event into a file of its own."""
-        for number, event in enumerate(self.events, 1):
+        for number, event in enumerate(self.events.values(), 1):
             at = path.with_name(f"{path.stem}-{number}{path.suffix}")
-            yield from self.alone(event).check(self.at(problem, event), at)
+            yield from event.check(self.at(problem, event), at)
 
-    def foretold(self, problem, measured=None):
-        return super().foretold(problem, [event.measured for event in self.events])
+    def foretold(self, problem, several=()):
+        return super().foretold(problem, self.events.values())
 
     def sample(self, problem, likelihood, model, seed, running):
         """The posterior after the last event; that after each one is kept in a folder for each likelihood."""
         asked = self.config.events
-        models = [declare(self.at(problem, event), likelihood) for event in self.events]
+        models = [declare(self.at(problem, event), likelihood) for event in self.events.values()]
         free = {rv.name for rv in models[0].free_RVs}
         states = states_in_sequence(
             models,
@@ -197,17 +185,17 @@ class Events(Responses):
             **running.of_sampler(self.config.sampler),
         )
         try:
-            for event in self.events:
-                running.progress(f"{likelihood}, {event.name}")
+            for name in self.events:
+                running.progress(f"{likelihood}, {name}")
                 idata = next(states)
         except StudyMismatchError:
             raise
         except ValueError as error:
             raise ConfigError(
-                f"`priors` must lead to posteriors that can be sampled, after {event.name}: {error}"
+                f"`priors` must lead to posteriors that can be sampled, after {name}: {error}"
             ) from error
-        names = [event.name for event in self.events]
-        idata["sequence"] = xr.DataTree(idata["sequence"].to_dataset().assign_coords(name=("event", names)))
+        sequence = idata["sequence"].to_dataset().assign_coords(name=("event", list(self.events)))
+        idata["sequence"] = xr.DataTree(sequence)
         return idata, model
 
     def sentences(self, problem, result, explains):

@@ -14,20 +14,21 @@ from pymc_features.external import ExternalSimulator, ProgramSimulator, emulate
 from pymc_features.io.reading.labels import SI
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.ops import ExternalResponse
-from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Parameter
-from pymc_features.update.config.keys import named_key, refuse
+from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import MEASURED, Section, key
-from pymc_features.update.kinds.base import channels_table, thinned
-from pymc_features.update.kinds.channels import Measured, part_compared, read_whole
-from pymc_features.update.kinds.histories import WITH_EVIDENCE, Histories, accounted_for, check_likelihood
+from pymc_features.update.kinds.base import KindOfData, channels_table, thinned
+from pymc_features.update.kinds.channels import part_compared, read_whole
+from pymc_features.update.kinds.histories import WITH_EVIDENCE, Histories, accounted_for
 
 SIMULATED = 50  # draws whose responses the report shows
-OF_STRUCTURES = "structure record events modal ambient cyclic predict compare hierarchical sensitivity"
-OF_ONE_SIDE = (
+LEFT_OUT = {  # keys that speak of a structure mean nothing here, and filters would touch one side alone
+    "structure record events modal ambient cyclic predict compare hierarchical sensitivity": "with "
+    "[external], got it. The program decides.",
     "data.base data.dofs data.excitation data.interpolation processing.band_pass processing.check_band "
-    "processing.decimate report.natural_frequencies report.quantities"
-)
+    "processing.decimate report.natural_frequencies report.quantities": "with [external], got it. What the "
+    "program returns is compared as it is.",
+}
 
 
 class ExternalSection(Section):
@@ -64,7 +65,7 @@ class ExternalSection(Section):
     def parameters(self, config):
         """Key, unit and value of what is random."""
         for name, unit in self.units.items():
-            yield f"external.units.{name}", unit, Parameter(name)
+            yield f"external.units.{name}", unit, Parameter(prior=name)
 
 
 class ProgramOf:
@@ -86,20 +87,17 @@ class ProgramOf:
 class External(Histories):
     """Histories that a program computes for known parameters; it alone knows the motion of the base."""
 
-    simulator: ExternalSimulator  # the program, with its cache
+    simulator: ExternalSimulator | None = None  # the program, with its cache
 
-    key, section = "external", ExternalSection
+    key, section, refused = "external", ExternalSection, LEFT_OUT
     is_checked, n_predicted = False, SIMULATED
 
     @classmethod
     def check_sections(cls, config):
-        """Sections that speak of a structure mean nothing, and filters would touch one side alone."""
-        refuse(config, OF_STRUCTURES, "with [external], got it. The program decides.")
+        """The measured files are there, and likelihoods do without sensitivities."""
         if config.data is None or (config.data.files is None and config.data.dataset is None):
             raise ConfigError("`data` must be given with [external]: a table with the measured `files`.")
         super().check_sections(config)
-        as_it_is = "with [external], got it. What the program returns is compared as it is."
-        refuse(config, OF_ONE_SIDE, as_it_is)
         is_emulated = config.external.emulate is not None
         for kind in config.likelihood.kinds:
             entry = LIKELIHOODS[kind]
@@ -123,8 +121,6 @@ class External(Histories):
         channels = channels.drop_vars("units", errors="ignore")
         channels = channels.assign_attrs(units=SI[MEASURED[config.data.quantity]])
         compared, first = part_compared(channels, config.processing)
-        measured = Measured(None, compared, step, source, first)
-        check_likelihood(problem, len(compared), measured)
         with named_key("external", command="program", inputs="template", result="output"):
             program = ProgramSimulator(
                 asked.program,
@@ -145,16 +141,19 @@ class External(Histories):
                 executor=config.sampler.cores,
                 progress=False,
             )
-        return cls(config, measured, list(range(len(compared))), simulator)
+        found = cls(config, None, compared, step, source, list(range(len(compared))), first, simulator)
+        return found.check_likelihood(problem)
 
     @property
     def used(self):
-        duration = self.measured.step * self.simulator.shape[1]
-        return f"{len(self.dofs)} measured histories over {duration:.4g} s"
+        return f"{len(self.dofs)} measured histories over {self.step * self.simulator.shape[1]:.4g} s"
+
+    @property
+    def arrays(self):
+        return {"channels": self.channels.values}
 
     def prints(self):
-        channels = fingerprint(np.ascontiguousarray(self.channels.values))
-        return {"channels_sha256": channels, "program": self.simulator.identity}
+        return KindOfData.prints(self) | {"program": self.simulator.identity}
 
     def response(self, problem, structure):
         """What the program returns; `structure` has its parameters in their order."""
@@ -183,17 +182,16 @@ class External(Histories):
         ops = [v.owner.op for v in ancestors(model.basic_RVs) if v.owner is not None]
         found = next((op.simulator for op in ops if isinstance(op, ExternalResponse)), self.simulator)
         values = found.responses(*(drawn[name].values for name in problem.structure.names))
-        values = values[..., self.measured.window]
+        values = values[..., self.window]
         known = np.isfinite(values).all(axis=(1, 2))
         labels = {name: ("sample", drawn[name].values[known]) for name in ("chain", "draw")}
         yield labels, lambda: [(0, np.moveaxis(values[known], 0, -1))]
 
     def shared(self, problem):
-        attrs = {"source": self.measured.source}
-        return {"data": xr.Dataset({"measured": self.measured.with_units}, attrs=attrs)}
+        return {"data": xr.Dataset({"measured": self.with_units}, attrs={"source": self.source})}
 
     def told(self):
-        yield f"data: {self.measured.source}; {self.simulator.shape[1]} samples at {self.measured.step:.6g} s"
+        yield f"data: {self.source}; {self.simulator.shape[1]} samples at {self.step:.6g} s"
         yield f"program: {' '.join(self.simulator.function.command)}"
 
     def check(self, problem, path):
@@ -206,7 +204,7 @@ class External(Histories):
         if not np.isfinite(found).all():
             reason = self.simulator.failures[-1].message if self.simulator.failures else "it is not finite"
             raise ConfigError(f"`external.program` must run at the medians of the priors, {values}: {reason}")
-        off = self.channels - found[:, self.measured.window]
+        off = self.channels - found[:, self.window]
         relative = np.sqrt((off**2).mean("time") / (self.channels**2).mean("time")).values
         how = "came from the cache" if self.simulator.counts["cached"] > known else how
         yield (
@@ -215,7 +213,5 @@ class External(Histories):
         )
 
     def tables(self, problem, result):
-        measured, nowhere = self.measured, ["" for _ in self.dofs]
-        more = f". Responses are those of {SIMULATED} draws."
-        shown = channels_table(self.config, measured.source, nowhere, measured.channels, measured.step, more)
+        shown = channels_table(self, f". Responses are those of {SIMULATED} draws.")
         return [*super().tables(problem, result), shown]

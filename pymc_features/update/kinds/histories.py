@@ -19,22 +19,13 @@ from pymc_features.ops import response
 from pymc_features.ops.excitation import request_in_model
 from pymc_features.prediction import posterior_response
 from pymc_features.prediction.draws import structure_draws
+from pymc_features.records import CyclicTest, Record
 from pymc_features.simulators.quantities import checked_request
-from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Parameter, evaluated
 from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import ERRORS
-from pymc_features.update.kinds.base import (
-    QUANTILES,
-    KindOfData,
-    Verdict,
-    check_positive,
-    draws_of_priors,
-    kinds_of,
-    table,
-    thinned,
-)
-from pymc_features.update.kinds.channels import Measured
+from pymc_features.update.kinds import base
+from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict, kinds_of, table
 from pymc_features.update.templates.numbers import interval_texts
 
 DRAWS = 200
@@ -47,6 +38,7 @@ ROUGH = 0.15  # rms error over measured rms that is worth a word where it is str
 SEGMENTS = 8  # of a record, for coherences
 ZOOM = 4.0  # [s] around the strongest motion
 ERROR_OF_FIT = ("likelihood", "sensor", "rms error / measured rms", "samples in the 90 % band")
+LARGEST = ("likelihood", "largest response", "unit", "5 %", "50 %", "95 %")
 
 
 @dataclass(frozen=True)
@@ -54,15 +46,47 @@ class Histories(KindOfData):
     """Histories (sensor, time) under a known excitation."""
 
     config: Any  # the configuration file
-    measured: Measured  # excitation and histories
+    record: Record | CyclicTest | None  # motion of the base, or displacement of a specimen
+    # (sensor, time) what is compared, NaN in gaps, with its unit; time 0 is that of the record
+    channels: xr.DataArray
+    step: float  # sampling interval of the channels [s], a multiple of the record's
+    source: str  # where they come from
     dofs: list[int]  # degree of freedom of each sensor
+    first: int = 0  # sample of the response that the first of the channels is compared with
 
     n_predicted: ClassVar[int] = DRAWS
 
     @classmethod
     def check_sections(cls, config):
+        super().check_sections(config)
         if config.likelihood is None:
             raise ConfigError(f"`likelihood` must be given with [{cls.key}]: a table.")
+
+    def check_likelihood(self, problem) -> "Histories":
+        """Refuse errors that do not fit the sensors, and likelihoods that do not fit the gaps."""
+        likelihood, left_out = self.config.likelihood, self.left_out
+        for name, unit in ERRORS.items():
+            advice = f"Pass it in {unit}." if unit != "-" else "1 is that of TN, 2 that of EXP."
+            of_each = len(self.dofs), "sensors", advice
+            base.check_positive(f"likelihood.{name}", getattr(likelihood, name), problem.priors, *of_each)
+        if "ABC" in likelihood.kinds and self.config.processing.compare is not None:
+            raise ConfigError(
+                "`likelihood.kinds` must not have ABC with `processing.compare`, for it compares whole "
+                "responses. Leave one of them out."
+            )
+        if "ABC" in likelihood.kinds and likelihood.epsilon is None and isinstance(likelihood.sigma, list):
+            raise ConfigError(
+                "`likelihood.epsilon` must be given for ABC where each sensor has its own sigma, got none."
+            )
+        whole = [kind for kind in likelihood.kinds if not LIKELIHOODS[kind].takes_gaps]
+        if whole and left_out:
+            raise ConfigError(
+                f"`likelihood.kinds` must not have {whole[0]} where samples are missing, got gaps of "
+                f"{left_out}: it compares neighbouring samples. Compare a part without gaps by "
+                "`processing.compare`, leave out the sensor, or take "
+                f"{', '.join(kind for kind, entry in LIKELIHOODS.items() if entry.takes_gaps)}."
+            )
+        return self
 
     @property
     def likelihoods(self):
@@ -74,23 +98,49 @@ class Histories(KindOfData):
         return self.config.data.quantity
 
     @property
-    def channels(self) -> xr.DataArray:
-        """What is compared (sensor, time)."""
-        return self.measured.channels
+    def units(self) -> str:
+        """Units of the channels."""
+        return self.channels.attrs.get("units", "m/s^2")
+
+    @property
+    def with_units(self) -> xr.DataArray:
+        """The channels, of which nothing is said but their unit."""
+        return self.channels.drop_attrs().assign_attrs(units=self.units)
+
+    @property
+    def window(self) -> slice:
+        """Samples of the response, at `step`, that are compared."""
+        return slice(self.first, self.first + self.channels.sizes["time"])
+
+    @property
+    def samples(self) -> np.ndarray:
+        """Numbers (sensor,) of the samples that are compared."""
+        return self.channels.notnull().sum("time").values
+
+    @property
+    def left_out(self) -> str:
+        """Which part of each sensor is left out as a gap; empty without gaps."""
+        shares = 100.0 * (1.0 - self.samples / self.channels.sizes["time"])
+        named = zip(self.channels["sensor"].values, shares, strict=True)
+        return ", ".join(f"{share:.2g} % of {name}" for name, share in named if share > 0.0)
 
     def parameters(self, likelihood):
         return [value for _, value in self.config.likelihood.parameters_of(likelihood)]
 
-    def prints(self):
-        return prints_of(self.measured)
+    @property
+    def arrays(self):
+        return {"base": self.record.inputs[0], "channels": self.channels.values}
 
-    def foretold(self, problem, measured=None) -> list[str]:
-        """What likelihoods that count sensors cannot tell, before anything is sampled."""
+    def prints(self):
+        return super().prints() | {"base_interpolation": self.record.interpolation}
+
+    def foretold(self, problem, several=()):
+        """What likelihoods that count sensors cannot tell, perhaps of several records."""
         n_unknown, m = len(problem.structure.names), self.config.likelihood.m
-        advice = "" if measured else " CAL counts what the residuals support."
+        advice = "" if several else " CAL counts what the residuals support."
         found = []
         for kind in self.likelihoods:
-            claimed = [LIKELIHOODS[kind].claimed(one.samples, m) for one in measured or [self.measured]]
+            claimed = [LIKELIHOODS[kind].claimed(one.samples, m) for one in several or [self]]
             if None not in claimed and sum(claimed) < 2 * n_unknown:
                 found.append(
                     f"{kind} counts {sum(claimed):.0f} observations for {n_unknown} unknown parameters of "
@@ -105,46 +155,43 @@ class Histories(KindOfData):
             sigma = sigma.times * parts["EXP"]["posterior"][sigma.prior]
         return abc_tolerance(sigma, len(self.dofs)) if epsilon is None else epsilon
 
-    def settings(self, problem) -> dict:
+    def settings(self, problem, **more) -> dict:
         """What a response needs besides the structure and the motion."""
-        return {"dt": self.measured.step, "sensors": self.dofs, "n_modes": problem.structure.n_modes}
+        return {"dt": self.step, "sensors": self.dofs, "n_modes": problem.structure.n_modes} | more
 
     def request(self, problem):
         """The request of the model's response, with the refinement that its priors need, and its outputs."""
         with pm.Model():
             values = {name: problem.priors[name].declare(name) for name in problem.structure.names}
-            structure, record = problem.structure(**values), self.measured.record
-            asked, outputs = checked_request(structure, record, self.quantity, **self.settings(problem))
-            return request_in_model(structure, record, asked), outputs
+            structure = problem.structure(**values)
+            asked, outputs = checked_request(structure, self.record, self.quantity, **self.settings(problem))
+            return request_in_model(structure, self.record, asked), outputs
 
     def expected(self, problem) -> xr.Dataset:
         """Responses that the priors expect, as of `posterior_response`."""
-        draws = draws_of_priors(problem, problem.structure.names, DRAWS)
-        settings = self.settings(problem) | {"draws": DRAWS, "quantiles": QUANTILES}
+        draws = base.draws_of_priors(problem, problem.structure.names, DRAWS)
+        settings = self.settings(problem, draws=DRAWS, quantiles=QUANTILES)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PredictionWarning)  # priors may reach beyond what a structure is
-            return posterior_response(
-                draws, problem.structure, self.measured.record, self.quantity, **settings
-            )
+            return posterior_response(draws, problem.structure, self.record, self.quantity, **settings)
 
     def response(self, problem, structure):
         """The response (sensor, time) of a structure to the excitation, in the model of the context."""
         with named_key("structure"):
-            return response(structure, self.measured.record, quantity=self.quantity, **self.settings(problem))
+            return response(structure, self.record, quantity=self.quantity, **self.settings(problem))
 
     def declare(self, problem, likelihood, structure, values, tolerance):
-        measured, asked = self.measured, self.config.likelihood
-        observed = measured.channels
-        pm.modelcontext(None).add_coords({dim: observed[dim].values for dim in DIMS})
+        asked = self.config.likelihood
+        pm.modelcontext(None).add_coords({dim: self.channels[dim].values for dim in DIMS})
         mu = self.response(problem, structure)
         errors = {
             name: pt.as_tensor_variable(evaluated(value, values))
             for name, value in asked.parameters_of(likelihood)
         }
         if self.config.processing.compare is not None:
-            mu = mu[:, measured.window]
-            errors["dt"] = pt.constant(measured.step)  # which likelihoods no longer see
-        given = Comparison(mu, observed.values, epsilon=tolerance, density=asked.density, **errors)
+            mu = mu[:, self.window]
+            errors["dt"] = pt.constant(self.step)  # which likelihoods no longer see
+        given = Comparison(mu, self.channels.values, epsilon=tolerance, density=asked.density, **errors)
         LIKELIHOODS[likelihood].declare(given)
 
     def predict(self, problem, likelihood, model, idata):
@@ -155,14 +202,11 @@ class Histories(KindOfData):
             for first, values in blocks():
                 part = slice(first, first + values.shape[1])
                 quantiles[:, :, part] = np.quantile(values, QUANTILES, axis=-1)
-            dims, coords = (
-                ("quantile", *observed.dims),
-                {"sensor": observed["sensor"], "time": observed["time"]},
-            )
-            response = xr.DataArray(quantiles, {"quantile": list(QUANTILES)} | coords, dims)
+            coords = {"quantile": list(QUANTILES)} | {dim: observed[dim] for dim in observed.dims}
+            response = xr.DataArray(quantiles, coords, ("quantile", *observed.dims))
             median = response.sel(quantile=0.5, drop=True)
             return {
-                "observed_data": xr.Dataset({"y": self.measured.with_units}),
+                "observed_data": xr.Dataset({"y": self.with_units}),
                 "bands": self.bands(problem, likelihood, model, idata, response),
                 "histories": components_of(blocks, median, labels),
             }
@@ -173,15 +217,14 @@ class Histories(KindOfData):
 
         A block has its first sample and the responses (sensor, time, draw) from there on.
         """
-        posterior, name, start = idata["posterior"].to_dataset(), self.quantity, self.measured.first
-        asked = [self.measured.record], [name], DRAWS, 0
-        with structure_draws(
-            posterior, problem.structure, *asked, keep_histories=True, **self.settings(problem)
-        ) as drawn:
+        posterior, name, start = idata["posterior"].to_dataset(), self.quantity, self.first
+        asked = [self.record], [name], DRAWS, 0
+        settings = self.settings(problem, keep_histories=True)
+        with structure_draws(posterior, problem.structure, *asked, **settings) as drawn:
 
             def blocks():
                 for first, values in drawn.ensemble.blocks(name):
-                    at, end = max(first, start), start + self.channels.sizes["time"]
+                    at, end = max(first, start), self.window.stop
                     if first < end and first + values.shape[1] > at:
                         yield at - start, values[:, at - first : end - first]
 
@@ -206,8 +249,8 @@ class Histories(KindOfData):
             inside = ((observed >= low) & (observed <= high)).where(observed.notnull())
             found["coverage"] = inside.mean("time")
         if names := problem.config.report.quantities:
-            settings = self.settings(problem) | {"draws": DRAWS, "random_seed": 0, "sensors": None}
-            rest = posterior_response(idata, problem.structure, self.measured.record, names, **settings)
+            settings = self.settings(problem, draws=DRAWS, random_seed=0, sensors=None)
+            rest = posterior_response(idata, problem.structure, self.record, names, **settings)
             for name in names:
                 peak = rest[f"{name}_peak"]
                 rows = {dim: f"{name}_{dim}" for dim in peak.dims if dim != "sample"}
@@ -217,21 +260,17 @@ class Histories(KindOfData):
 
     def sentences(self, problem, result, explains):
         """Gaps, and how many observations the residuals support."""
-        if left_out := self.measured.left_out:
-            yield f"Left out as gaps: {left_out}.", True
+        if self.left_out:
+            yield f"Left out as gaps: {self.left_out}.", True
         kinds = kinds_of(result)
         for kind in (kind for kind in kinds if LIKELIHOODS[kind].calibrates):
             yield self.supported(result[kind], kind, kinds, explains), True
 
     def supported(self, part, kind: str, kinds, explains: bool) -> str:
-        """How many observations the residuals support, beside what likelihoods claim.
-
-        And what made the intervals what they are: frequency bands that disagree, bounds of priors. Where the
-        model does not explain the data, or the likelihood has several maxima, no interval comes first.
-        """
+        """How many observations the residuals support, and what made the intervals what they are."""
         n_eff, m = float(part["calibration"].attrs["n_eff"]), self.config.likelihood.m
-        entries = [LIKELIHOODS[name] for name in dict.fromkeys([LIKELIHOODS[kind].calibrates, *kinds])]
-        claims = {entry.name: entry.claimed(self.measured.samples, m) for entry in entries}
+        names = dict.fromkeys([LIKELIHOODS[kind].calibrates, *kinds])
+        claims = {name: LIKELIHOODS[name].claimed(self.samples, m) for name in names}
         claimed = [f"{name} {n:,.0f}" for name, n in claims.items() if n is not None]
         claimed[0] = claimed[0].replace(" ", " claims ", 1)
         told = [f"The residuals support {n_eff:,.0f} independent observations; {', '.join(claimed)}."]
@@ -251,13 +290,17 @@ class Histories(KindOfData):
             told.append(f"Next to a bound of its prior the 90 % interval is the shortest one: {named}.")
         return " ".join(filter(None, told))
 
+    def errors(self, part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Error of the median response, zero in gaps; its relative rms, and whether it is no noise."""
+        error = part["observed_data"]["y"] - part["bands"]["response"].sel(quantile=0.5, drop=True)
+        error = np.nan_to_num(error.transpose("sensor", "time").values)
+        structured = densest_share(error, self.step, self.band) > DENSE
+        return error, part["bands"]["normalised_error"].values, structured
+
     def verdict(self, problem, result, kind):
         """Whether the median response meets what was measured, but for noise."""
-        part = result[kind]
-        sensors, measured = part["bands"]["sensor"].values.astype(str), part["observed_data"]["y"].values
-        error = np.nan_to_num(measured - part["bands"]["response"].sel(quantile=0.5).values)
-        relative = part["bands"]["normalised_error"].values
-        structured = densest_share(error, self.measured.step, self.band) > DENSE
+        sensors = result[kind]["bands"]["sensor"].values.astype(str)
+        _, relative, structured = self.errors(result[kind])
         bad, rough = structured & (relative > UNEXPLAINED), structured & (relative > ROUGH)
         told = [headline(sensors, relative, bad)]
         if rough.any():
@@ -272,16 +315,15 @@ class Histories(KindOfData):
         fit, peaks = [], []
         for kind in kinds_of(result):
             bands = result[kind]["bands"].to_dataset()
-            errors = [f"{value:.2f}" for value in bands["normalised_error"].values]
-            shares = [f"{100 * v:.0f} %" for v in bands["coverage"].values] if "coverage" in bands else None
-            rows = zip(bands["sensor"].values, errors, shares or [""] * len(errors), strict=True)
-            fit += [(kind, *row) for row in rows]
+            shares = bands.get("coverage", xr.full_like(bands["normalised_error"], np.nan)).values
+            columns = bands["sensor"].values, bands["normalised_error"].values, shares
+            for name, error, share in zip(*columns, strict=True):
+                fit.append((kind, name, f"{error:.2f}", "" if np.isnan(share) else f"{100 * share:.0f} %"))
             names = [name for name in bands.data_vars if str(name).endswith("_peak")]
             peaks += [(kind, *row) for name in names for row in peak_rows(bands[name])]
-        quantiles = ("likelihood", "largest response", "unit", "5 %", "50 %", "95 %")
         return [
             table("fit", "response", "Error of the median response", ERROR_OF_FIT, fit),
-            table("peaks", "response", "Largest values of other responses", quantiles, peaks),
+            table("peaks", "response", "Largest values of other responses", LARGEST, peaks),
         ]
 
     def figures_of(self, problem, part, kind):
@@ -322,7 +364,7 @@ def headline(sensors, relative, bad) -> str:
 
 def predictive(model, idata, draws: int) -> np.ndarray:
     """Quantiles (quantile, sensor, time) of draws of the data."""
-    posterior = thinned(idata["posterior"].to_dataset(), draws)
+    posterior = base.thinned(idata["posterior"].to_dataset(), draws)
     drawn = pm.sample_posterior_predictive(
         xr.DataTree.from_dict({"posterior": posterior}),
         model=model,
@@ -339,12 +381,8 @@ def components_of(blocks, median, labels) -> xr.Dataset:
     """Responses of some draws, less their median, by principal components: a page shows any, and holds few.
 
     The deviations D (sensor and time, draw) have the Gram matrix D'D = V diag(s^2) V'; the components are
-    U = D V with the largest s, and a draw is the median plus U times its row of V.
-
-    `blocks()` yields a first sample and the responses from there on (sensor, time, draw), of which `median`
-    is (sensor, time); `labels` are `chain` and `draw` of each sample. The Dataset has `component`
-    (component, sensor, time), `coefficient` (sample, component), and the share of the variance that is held
-    in `attrs`.
+    U = D V with the largest s, and a draw is the median plus U times its row of V. The share of the variance
+    that is held is in `attrs`.
     """
 
     def deviations():
@@ -374,11 +412,8 @@ def components_of(blocks, median, labels) -> xr.Dataset:
 def bounds_of(part) -> dict[str, float]:
     """Parameters whose interval is the shortest, and the bound of their prior that it lies next to."""
     found = json.loads(part.attrs.get("calibration", '{"parameters": {}}'))["parameters"]
-    return {
-        name: row["bound"]
-        for name, row in found.items()
-        if (row["room"] or 0.0) < SHORT and row["near_bound"]
-    }
+    close = {name: row for name, row in found.items() if (row["room"] or 0.0) < SHORT and row["near_bound"]}
+    return {name: row["bound"] for name, row in close.items()}
 
 
 def peak_rows(peaks) -> list[tuple]:
@@ -398,39 +433,3 @@ def strongest(part) -> tuple[float, float]:
     last = float(observed["time"][-1])
     first = max(0.0, min(peak - 0.4 * ZOOM, last - ZOOM))
     return first, min(last, first + ZOOM)
-
-
-def prints_of(measured: Measured) -> dict[str, str]:
-    """What measured responses are recognised by."""
-    return {
-        "base_sha256": fingerprint(measured.record.inputs[0]),
-        "base_interpolation": measured.record.interpolation,
-        "channels_sha256": fingerprint(np.ascontiguousarray(measured.channels.values)),
-    }
-
-
-def check_likelihood(problem, n_sensors: int, *several: Measured) -> None:
-    """Errors fit the sensors, and likelihoods the gaps; the sigma that ABC takes from EXP must be one."""
-    likelihood = problem.config.likelihood
-    for name, unit in ERRORS.items():
-        advice = f"Pass it in {unit}." if unit != "-" else "1 is that of TN, 2 that of EXP."
-        value = getattr(likelihood, name)
-        check_positive(f"likelihood.{name}", value, problem.priors, n_sensors, "sensors", advice)
-    if "ABC" in likelihood.kinds and problem.config.processing.compare is not None:
-        raise ConfigError(
-            "`likelihood.kinds` must not have ABC with `processing.compare`, for it compares whole "
-            "responses. Leave one of them out."
-        )
-    if "ABC" in likelihood.kinds and likelihood.epsilon is None and isinstance(likelihood.sigma, list):
-        raise ConfigError(
-            "`likelihood.epsilon` must be given for ABC where each sensor has its own sigma, got none."
-        )
-    whole = [kind for kind in likelihood.kinds if not LIKELIHOODS[kind].takes_gaps]
-    for measured in several:
-        if whole and measured.left_out:
-            raise ConfigError(
-                f"`likelihood.kinds` must not have {whole[0]} where samples are missing, got gaps of "
-                f"{measured.left_out}: it compares neighbouring samples. Compare a part "
-                "without gaps by `processing.compare`, leave out the sensor, or take "
-                f"{', '.join(kind for kind, entry in LIKELIHOODS.items() if entry.takes_gaps)}."
-            )

@@ -19,24 +19,11 @@ from pymc_features.modal import ModalData, ModalFeature, match_modes, merge_setu
 from pymc_features.modal.feature import checked_parameters
 from pymc_features.modal.files import read_modal
 from pymc_features.modal.identified import identified
-from pymc_features.storage import fingerprint
 from pymc_features.update.config.entries import Vector, evaluated
 from pymc_features.update.config.keys import named_key, refuse, shown
 from pymc_features.update.config.sections import Names, Section, key, parameters_of
-from pymc_features.update.kinds.base import (
-    MODAL_DRAWS,
-    QUANTILES,
-    KindOfData,
-    Verdict,
-    check_positive,
-    declare,
-    drawn_to,
-    draws_of_priors,
-    kinds_of,
-    names_for,
-    table,
-    thinned,
-)
+from pymc_features.update.kinds import base
+from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict, kinds_of, table
 from pymc_features.update.kinds.shapes import Points, mode_shapes, points_of, read_nodes
 from pymc_features.update.plausibility.findings import of_modes
 from pymc_features.update.templates.numbers import Scale, fixed
@@ -55,6 +42,7 @@ BEYOND = 1.2  # of the highest identified frequency: modes above it are not in t
 MATCHED_DRAWS = 500
 MOST = 0.5  # share of the draws without a partner that is said
 WIDTH = 3.29  # standard deviations between 5 and 95 % of a normal distribution
+APART = 5.0  # standard deviations between an identified frequency and that of the model
 ALONE = 0.95  # share of the draws in which a mode takes the same partner
 COLUMNS = ("mode", "measured", "5 %", "50 %", "95 %", "off", "MAC", "5-95 %", "partner")
 IDENTIFIED = ("identified mode", "frequency [Hz]", "standard deviation [Hz]", "damping [%]")
@@ -158,12 +146,13 @@ class Modal(KindOfData):
 
     asked: ModalSection  # how they are compared
     data: ModalData  # those that are compared, with real shapes at the channels
+    dofs: list[int]  # degree of freedom of each channel
+    source: str  # where they come from
+    n_modes: int  # modes of the structure to choose from
     numbers: list[int]  # of each in its file, 1 the first
     labels: list  # which mode each is of; `numbers` if they are all of different ones
-    dofs: list[int]  # degree of freedom of each channel
-    n_modes: int  # modes of the structure to choose from
-    nodes: Points | None  # what is drawn, of a file; None without one
-    source: str  # where they come from
+    nodes: Points | None = None  # what is drawn, of a file
+    is_fitted: bool = True  # false of those in channels of ambient vibration, whose spectra are fitted
 
     key, section = "modal", ModalSection
     own = (MODAL,)
@@ -209,40 +198,26 @@ class Modal(KindOfData):
         if labels is numbers:  # but for modes that were found twice
             found = identified(data)
             labels = [numbers[found.labels[g]] for g in found.groups.argmax(axis=0)]
-        own = cls.made(section, data, dofs, structure, source, folder, problem.priors, numbers, labels)
-        for sentence in of_modes(data.frequencies, problem.prior):
-            warnings.warn(sentence, PriorWarning, stacklevel=2)
-        return own
-
-    @classmethod
-    def made(
-        cls, section, data, dofs, structure, source, folder=None, priors=None, numbers=None, labels=None
-    ) -> "Modal":
-        """Modes with their places; without numbers and labels they are all different ones."""
-        numbers = numbers or list(range(1, len(data) + 1))
-        labels = labels or numbers
         n = len(dict.fromkeys(map(str, labels)))
-        if data.shapes is not None and section.sigma_phi is None:
-            raise ConfigError(
-                f"`modal.sigma_phi` must be given with the shapes of {source}, got none. Pass the scale of "
-                "the root of 1 - MAC, about 0.05, or set shapes = false."
-            )
         advice, is_known = "0.01 is an error of one per cent.", data.frequency_sd is not None
-        check_positive("modal.sigma_f", section.sigma_f, priors, n, "modes", advice, can_be_zero=is_known)
-        check_positive("modal.sigma_phi", section.sigma_phi, priors, n, "modes", advice)
+        for name, can_be_zero in (("sigma_f", is_known), ("sigma_phi", False)):
+            value, of_each = getattr(section, name), (n, "modes", advice)
+            base.check_positive(f"modal.{name}", value, problem.priors, *of_each, can_be_zero=can_be_zero)
         nodes = None
-        if data.shapes is not None and section.nodes is not None:
+        if dofs and section.nodes is not None:
             with named_key("modal.nodes"):
                 channels = dict(zip(data.channels, dofs, strict=True))
                 nodes = read_nodes(folder / section.nodes, channels, structure.n_dof)
-        most = structure.n_dof if structure.has_storeys else structure.n_modes
+        most = most_modes(structure)
         n_modes = min(most, n + SPARE) if section.n_modes is None else section.n_modes
         if not n <= n_modes <= most:
             raise ConfigError(
                 f"`modal.n_modes` must be from the {n} modes identified to the {most} of the structure, got "
                 f"{n_modes}. Leave it out, or modes by `modal.modes`."
             )
-        return cls(section, data, numbers, labels, dofs, n_modes, nodes, source)
+        for sentence in of_modes(data.frequencies, problem.prior):
+            warnings.warn(sentence, PriorWarning, stacklevel=2)
+        return cls(section, data, dofs, source, n_modes, numbers, labels, nodes)
 
     @property
     def names(self) -> list[str]:
@@ -271,14 +246,11 @@ class Modal(KindOfData):
     def placed(self):
         return dict(zip(self.data.channels or [], self.dofs, strict=True))
 
-    def prints(self):
+    @property
+    def arrays(self):
         data = self.data
-        arrays = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
-        return {
-            f"modal_{name}_sha256": fingerprint(np.ascontiguousarray(values))
-            for name, values in arrays.items()
-            if values is not None
-        }
+        found = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
+        return {f"modal_{name}": values for name, values in found.items() if values is not None}
 
     def parameters(self, likelihood):
         return self.asked.sigma_f, self.asked.sigma_phi
@@ -304,13 +276,12 @@ class Modal(KindOfData):
         return {"matched": self.matched(problem, idata["posterior"].to_dataset())}
 
     def matched(self, problem, posterior: xr.Dataset, **limits) -> xr.Dataset:
-        """Which mode of the model each is matched with, of some draws; see `modal.match_modes`.
+        """Which mode of the model each identified one is matched with, of some draws; see `match_modes`.
 
-        The dimension is `identified`, with the numbers of the modes in their file, and what each is called as
-        `label`; `partner` is that of each in most draws, 0 if it has none. `limits` are those of partners.
+        `label` is what each is called, `partner` that of each in most draws, 0 if it has none.
         """
-        model = declare(problem.with_data(self), MODAL.name)
-        found = match_modes(thinned(posterior, MATCHED_DRAWS), name="modal", model=model, **limits)
+        model = base.declare(problem.with_data(self), MODAL.name)
+        found = match_modes(base.thinned(posterior, MATCHED_DRAWS), name="modal", model=model, **limits)
         labels = list(map(str, self.labels))  # several identifications of one mode stand together
         order = sorted(range(len(labels)), key=lambda k: labels.index(labels[k]))
         found = found.rename(mode="identified").assign_coords(identified=[self.numbers[k] for k in order])
@@ -354,8 +325,8 @@ class Modal(KindOfData):
 
         Partners are judged by their shapes: frequencies are what is to be updated.
         """
-        names = names_for(problem.with_data(self), MODAL.name)
-        draws = draws_of_priors(problem, names, MODAL_DRAWS)
+        names = base.names_for(problem.with_data(self), MODAL.name)
+        draws = base.draws_of_priors(problem, names, base.MODAL_DRAWS)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ModalMatchWarning)  # the sentences say it
             matched = self.matched(problem, draws, deviations=np.inf)
@@ -369,7 +340,7 @@ class Modal(KindOfData):
             yield f"Outside of what the priors expect (5 to 95 %): {named}."
         part = {"mode_shapes": mode_shapes(problem, draws), "matched": matched}
         if figures := self.figures_of(problem, part, ""):
-            yield drawn_to(path, [*figures.values()][-1])
+            yield base.drawn_to(path, [*figures.values()][-1])
 
     def tables(self, problem, result):
         """Frequencies with standard deviations, damping, the places of channels; and those of the model."""
@@ -384,7 +355,7 @@ class Modal(KindOfData):
             f"The channels and their degrees of freedom are {at}." if at else "",
             f"Each is matched with one of the {self.n_modes} lowest modes of the structure.",
         ]
-        if self.dofs and not self.is_drawn(problem) and self in problem.data:
+        if self.dofs and not self.is_drawn(problem) and self.is_fitted:
             told.append("Name a file with its nodes as `modal.nodes` to see the shapes drawn.")
         rows, note = list(zip(*columns, strict=True)), " ".join(filter(None, told))
         kinds = {kind: self.rows(result[f"{kind}/matched"]) for kind in kinds_of(result)}
@@ -413,7 +384,27 @@ class Modal(KindOfData):
         return found
 
     def verdict(self, problem, result, kind):
-        return modes_verdict(self.rows(result[f"{kind}/matched"]))
+        """Whether all have a partner in the model, of a close frequency where they are not fitted."""
+        rows = self.rows(result[f"{kind}/matched"])
+        found = modes_verdict(rows)
+        if self.is_fitted:
+            return found
+        off = [abs(row.deviation(sd)) for row, sd in zip(rows, self.data.frequency_sd, strict=True)]
+        far = [(z, row) for z, row in zip(off, rows, strict=True) if z > APART and row.has_partner]
+        if not far:
+            return found
+        worst, row = max(far)
+        sentence = (
+            f"The identified mode {row.name} lies {worst:.0f} standard deviations from that of the "
+            "model: the structure cannot have these frequencies together, and the intervals, which "
+            "take it for right, are too narrow. Let more of it be uncertain."
+        )
+        return Verdict([sentence, *found.sentences], False)
+
+
+def most_modes(structure) -> int:
+    """Modes of a structure that can be chosen from."""
+    return structure.n_dof if structure.has_storeys else structure.n_modes
 
 
 def modes_verdict(rows: list[ModeRow]) -> Verdict:
@@ -455,18 +446,13 @@ def at_channels(section, data, structure, source) -> tuple[ModalData, list[int]]
                     f"`modal.{name}` must be left out without shapes, got it. {source} has frequencies alone."
                 )
         return replace(data, **WITHOUT_SHAPES), []
-    n = structure.n_dof
     if section.channels is None:
         raise ConfigError(
             f"`modal.channels` must be given with shapes: a table of channel names to degrees of freedom. "
             f"{source} has {listed(data.channels)}. Or set shapes = false."
         )
     dofs = list(section.channels.values())
-    if len(set(dofs)) < len(dofs) or not all(0 <= dof < n for dof in dofs):
-        raise ConfigError(
-            f"`modal.channels` must have different degrees of freedom from 0 to {n - 1}, got {shown(dofs)}. "
-            "0 is next to the base."
-        )
+    base.check_dofs("modal.channels", dofs, structure.n_dof)
     if len(dofs) < 2:
         raise ConfigError(
             "`modal.channels` must be two or more, for a shape of one entry says nothing, got one. Add "
@@ -481,6 +467,11 @@ def at_channels(section, data, structure, source) -> tuple[ModalData, list[int]]
                 f"`modal.scale` must have factors that are not zero for channels that are compared "
                 f"({', '.join(data.channels)}), got {shown({name: factor})}."
             )
+    if section.sigma_phi is None:
+        raise ConfigError(
+            f"`modal.sigma_phi` must be given with the shapes of {source}, got none. Pass the scale of the "
+            "root of 1 - MAC, about 0.05, or set shapes = false."
+        )
     factors = np.array([scale.get(name, 1.0) for name in data.channels])
     sd = None if data.shape_sd is None else data.shape_sd * np.abs(factors)
     return replace(data, shapes=data.shapes * factors, shape_sd=sd), dofs

@@ -1,35 +1,25 @@
 """Measured responses to a measured motion of the base: [data], [record], [processing], [likelihood]."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from pymc_features import plots
+from pymc_features import plots, signals
 from pymc_features.exceptions import ConfigError
+from pymc_features.io.reading.labels import SI
 from pymc_features.plots.histories import draw_expected
+from pymc_features.records import Record
 from pymc_features.simulators.quantities import rows_of
 from pymc_features.simulators.simulate import respond
+from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import MEASURED, Data
-from pymc_features.update.kinds.base import (
-    Verdict,
-    channels_table,
-    drawn_to,
-    table,
-)
-from pymc_features.update.kinds.channels import Measured, checked_dofs, read_measured
-from pymc_features.update.kinds.histories import (
-    DENSE,
-    ROUGH,
-    SEGMENTS,
-    UNEXPLAINED,
-    Histories,
-    check_likelihood,
-    densest_share,
-    headline,
-)
-from pymc_features.update.plausibility.findings import mode_rows, scales
+from pymc_features.update.kinds import channels as files
+from pymc_features.update.kinds.base import QUANTILES, Verdict, channels_table, drawn_to, table
+from pymc_features.update.kinds.histories import ROUGH, SEGMENTS, UNEXPLAINED, Histories, headline
+from pymc_features.update.plausibility.findings import Compared, mode_rows, scales
 from pymc_features.update.templates.numbers import pretty
 
 GAINS = ("sensor", "gain [-]", "lag [ms]", "coherence [-]")
@@ -37,15 +27,20 @@ EXPECTED = ("mode", "priors [Hz]", "data [Hz]", "priors [%]", "damping of data [
 PROMINENCE = 2.0  # of a peak of the gain over the valleys beside it, a factor
 FINEST = 8  # refinement of the record beside which that of the model is judged
 TOO_COARSE = 1.0  # difference over the half-width of the 90 % bands that is more than the fit may claim
-WORSE = 0.9  # the same, of a model with which nothing is gained
+WORSE = 0.9  # relative error of a model with which nothing is gained
 RINGS = 0.4  # share of the error's energy near natural frequencies
 FOLLOWS = 0.6  # coherence of the error with the base: noise has it in one of 20,000 frequencies
 BESIDE = 0.1  # relative distance within which a peak is that of a natural frequency
 DAMPING = (5e-4, 0.2)  # ratios that structures have
 
 
+@dataclass(frozen=True)
 class Responses(Histories):
     """Accelerations, velocities, displacements or drifts at the sensors."""
+
+    compared: Compared | None = None  # the data beside the priors
+    gains: xr.Dataset | None = None  # of `check_channels`; None where it could not tell anything
+    checked: str = ""  # what was checked of the channels against each other, or why it was not
 
     key, section = "data", Data
 
@@ -74,14 +69,56 @@ class Responses(Histories):
     @classmethod
     def read(cls, problem):
         """The channels, processed, and where they are on the structure."""
-        dofs = checked_dofs(problem.config, problem.expected.n_dof)
-        measured = read_measured(problem.config, problem.folder, problem.prior)
-        check_likelihood(problem, len(dofs), measured)
-        return cls(problem.config, measured, dofs)
+        return cls.of_files(problem, problem.config, problem.folder).check_likelihood(problem)
+
+    @staticmethod
+    def of_files(problem, config, folder: Path) -> "Responses":
+        """Read, correct, check and process the channels of a configuration with files in a folder."""
+        data, asked = config.data, config.processing
+        dofs = files.checked_dofs(config, problem.expected.n_dof)
+        channels, source = files.read_corrected(config, folder)
+        section, file = data, source
+        if config.record is not None:
+            channels = files.with_motion(channels, config.record, folder)
+            section, file = config.record, Path(config.record.path).name
+        gaps = np.isnan(channels.values[0])
+        if gaps.any():
+            start = float(channels["time"][int(gaps.argmax())])
+            raise ConfigError(
+                f"`data.base` must have no gaps, for it shakes the model, got {gaps.sum()} samples missing "
+                f"in {data.base}, the first at {start:g} s. Cut the files to one side by `data.rows`, or "
+                "give the motion in [record]."
+            )
+        channels = files.detrended(channels, asked)
+        with named_key("processing.check_band"):
+            compared, gains, checked = files.check(channels, config, dofs, problem.prior)
+        if asked.band_pass is not None:
+            corners = asked.band_pass.low, asked.band_pass.high
+            with named_key("processing.band_pass"):
+                channels = signals.band_pass(channels, *corners, order=asked.band_pass.order)
+        if asked.trim is not None:
+            with named_key("processing.trim"):
+                files.warn_of_motion(channels, asked.trim[0], compared.first or problem.prior.first)
+                channels = signals.trim(channels, *asked.trim)
+        channels = channels.drop_vars("units", errors="ignore")  # of which there may be two
+        motion = channels.isel(sensor=0).assign_attrs(units="m/s^2")
+        title = f"{data.base or 'ground motion'}, {file}"
+        record = Record.from_channel(motion, name=title, interpolation=section.interpolation)
+        with named_key("processing.decimate"):
+            floors = signals.decimate(channels.isel(sensor=slice(1, None)), asked.decimate)
+        floors, first = files.part_compared(floors.assign_attrs(units=SI[MEASURED[data.quantity]]), asked)
+        for name, is_gap in zip(floors["sensor"].values, floors.isnull().all("time").values, strict=True):
+            if is_gap:
+                raise ConfigError(
+                    f"`data.sensors` must have samples to compare, got a gap from end to end of {name} "
+                    "(filters and decimation widen gaps). Leave it out."
+                )
+        step = asked.decimate * record.dt
+        return Responses(config, record, floors, step, source, dofs, first, compared, gains, checked)
 
     @property
     def used(self):
-        return f"{len(self.dofs)} measured {self.plural} over {self.measured.record.duration:.4g} s"
+        return f"{len(self.dofs)} measured {self.plural} over {self.record.duration:.4g} s"
 
     @property
     def plural(self) -> str:
@@ -92,11 +129,11 @@ class Responses(Histories):
     def measures(self):
         relative = {"relative": "relative to the base", "inter": "those of storeys"}
         how = relative.get(self.quantity.split("_")[0], "absolute")
-        return f"{self.plural.capitalize()} are {how} and in {pretty(self.measured.units)}."
+        return f"{self.plural.capitalize()} are {how} and in {pretty(self.units)}."
 
     @property
     def band(self):
-        kept, nyquist = self.config.processing.band_pass, 0.5 / self.measured.step
+        kept, nyquist = self.config.processing.band_pass, 0.5 / self.step
         if kept is None:
             return 0.0, nyquist
         return kept.low or 0.0, min(kept.high or nyquist, nyquist)
@@ -107,15 +144,32 @@ class Responses(Histories):
 
     @property
     def is_checked(self):
-        return self.measured.is_checked
+        """Whether floors follow the base somewhere, or a resonance was seen."""
+        return self.gains is not None or bool(self.compared.peaks)
+
+    @property
+    def motion(self) -> np.ndarray:
+        """Motion of the base (time,) at the times of the channels [m/s^2]."""
+        from scipy import signal  # a second to import
+
+        stride = round(self.step / self.record.dt)
+        return signal.resample_poly(self.record.acceleration, 1, stride)[self.window]
+
+    @property
+    def with_motion(self) -> xr.DataArray:
+        """All channels (sensor, time) after processing, the base first."""
+        names = ["base", *self.channels["sensor"].values.astype(str)]
+        coords = {"sensor": names, "time": self.channels["time"].values}
+        if self.units != "m/s^2":
+            coords["units"] = "sensor", ["m/s^2", *[self.units] * (len(names) - 1)]
+        return xr.DataArray(np.vstack([self.motion, self.channels.values]), coords, ("sensor", "time"))
 
     def bands(self, problem, likelihood, model, idata, response):
         """Add what refining the base changes, over the half-width of the 90 % bands, (sensor,)."""
         found, posterior = super().bands(problem, likelihood, model, idata, response), idata["posterior"]
+        ends = found["response"].sel(quantile=[QUANTILES[0], QUANTILES[-1]])
+        low, high = ends.transpose("quantile", "sensor", "time").values
         values = {name: float(posterior[name].mean()) for name in problem.structure.names}
-        low, high = (
-            found["response"].sel(quantile=[0.05, 0.95]).transpose("quantile", "sensor", "time").values
-        )
         _, change, _ = self.refined(problem, values)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios = change / (0.5 * np.sqrt(((high - low) ** 2).mean(axis=1)))
@@ -128,58 +182,56 @@ class Responses(Histories):
         highest natural frequency that the record excites over the sampling rate of the base [-], and root
         mean squares of the difference and of the response (sensor,).
         """
-        structure, record = problem.structure(**values), self.measured.record
+        structure, record = problem.structure(**values), self.record
         asked, outputs = self.request(problem)
         rows = rows_of(structure, asked.quantity, asked, outputs).picked
-        used = respond(structure, record, asked, rows)[:, self.measured.window]
+        used = respond(structure, record, asked, rows)[:, self.window]
         smooth = replace(record, interpolation="band-limited")
-        fine = respond(structure, smooth, asked._replace(factor=FINEST), rows)[:, self.measured.window]
+        fine = respond(structure, smooth, asked._replace(factor=FINEST), rows)[:, self.window]
         modes = structure.modes(asked.n_modes) if structure.family == "linear" else structure.modes()
         shares = modes.natural_frequencies * record.dt
         change, size = (np.sqrt((rows**2).mean(axis=1)) for rows in (used - fine, fine))
         return float(shares[shares <= 1.0].max(initial=shares[0])), change, size
 
     def shared(self, problem):
-        measured = self.measured
-        gain, peaks = measured_gain(measured)
+        gain, peaks = measured_gain(self)
         given = problem.config.report.natural_frequencies
         if given is None and problem.modal is not None:
             given = problem.modal.data.frequencies
         columns = {
-            "ground_acceleration": ("record_time", measured.record.acceleration, {"units": "m/s^2"}),
-            "measured": measured.with_units,
+            "ground_acceleration": ("record_time", self.record.acceleration, {"units": "m/s^2"}),
+            "measured": self.with_units,
             "gain": gain,
             "peak_frequency": ("peak", peaks, {"units": "Hz"}),
         }
         if given is not None:
             columns["given_frequency"] = ("given", np.array(given, dtype=np.float64), {"units": "Hz"})
         attrs = {
-            "record": measured.record.name,
-            "source": measured.source,
-            "interpolation": measured.record.interpolation,
+            "record": self.record.name,
+            "source": self.source,
+            "interpolation": self.record.interpolation,
             "refinement": self.request(problem)[0].factor,
         }
-        return {"data": xr.Dataset(columns, {"record_time": measured.record.time}, attrs)}
+        return {"data": xr.Dataset(columns, {"record_time": self.record.time}, attrs)}
 
     def told(self):
-        measured = self.measured
-        yield f"data: {measured.source}; base: {measured.record}"
-        yield f"channels: {measured.checked}"
-        yield f"priors: {measured.compared.checked}. {scales(measured.compared)}"
-        yield table("expected", "data", "Priors (5 to 95 %) and data", EXPECTED, mode_rows(measured.compared))
-        if measured.left_out:
-            yield f"left out as gaps: {measured.left_out}"
+        yield f"data: {self.source}; base: {self.record}"
+        yield f"channels: {self.checked}"
+        yield f"priors: {self.compared.checked}. {scales(self.compared)}"
+        yield table("expected", "data", "Priors (5 to 95 %) and data", EXPECTED, mode_rows(self.compared))
+        if self.left_out:
+            yield f"left out as gaps: {self.left_out}"
 
     def check(self, problem, path):
         """Draw priors and channels; gains, and how coarse the base is sampled."""
-        measured, priors = self.measured, problem.priors
+        priors = problem.priors
         units = {name: problem.unit(name) for name in priors}
         densities = {name: one.density for name, one in priors.items()}
         expected = self.expected(problem)[self.quantity].transpose("quantile", ..., "time")
-        bands = expected.values[..., measured.window]
-        wrote = drawn_to(path, lambda: draw_expected(measured.with_base, bands, densities, units))
-        if measured.gains is not None:
-            yield gains_table(measured.gains)
+        bands = expected.values[..., self.window]
+        wrote = drawn_to(path, lambda: draw_expected(self.with_motion, bands, densities, units))
+        if self.gains is not None:
+            yield gains_table(self.gains)
         middle = {name: priors[name].median for name in problem.structure.names}
         share, change, size = self.refined(problem, middle)
         yield (
@@ -190,13 +242,11 @@ class Responses(Histories):
 
     def tables(self, problem, result):
         """Add the channels, and how they compare with the base."""
-        measured, record = self.measured, self.measured.record
-        more = f", of the base at {record.dt:.6g} s. The channels were {measured.checked.rstrip('.')}. "
-        if measured.left_out:
+        more = f", of the base at {self.record.dt:.6g} s. The channels were {self.checked.rstrip('.')}. "
+        if self.left_out:
             more += "Peaks, root mean squares and errors are those of the samples that are left."
-        source = self.config, measured.source, self.dofs, measured.channels, measured.step
-        gains = [] if measured.gains is None else [gains_table(measured.gains)]
-        channels = channels_table(*source, more, record.acceleration)
+        gains = [] if self.gains is None else [gains_table(self.gains)]
+        channels = channels_table(self, more, self.record.acceleration)
         return [*super().tables(problem, result), channels, *gains]
 
     def figures(self, problem, result):
@@ -210,23 +260,25 @@ class Responses(Histories):
         part = result[kind]
         modes = part["modal"].to_dataset().median(["chain", "draw"])
         frequencies, ratios = (modes[name].values for name in ("natural_frequency", "damping_ratio"))
-        found = residuals_of(self.measured, self.band, part, frequencies)
+        error, relative, structured = self.errors(part)
         sensors = part["bands"]["sensor"].values.astype(str)
-        structured = found.densest > DENSE
-        bad = (found.relative > UNEXPLAINED) & structured
-        told = [headline(sensors, found.relative, bad)]
-        if (found.relative > WORSE).all() and (found.turned < found.relative).all():
+        bad = (relative > UNEXPLAINED) & structured
+        told = [headline(sensors, relative, bad)]
+        measured = np.nan_to_num(self.channels.values)
+        turned = np.sqrt(((2.0 * measured - error) ** 2).sum(axis=1) / (measured**2).sum(axis=1))
+        if (relative > WORSE).all() and (turned < relative).all():
             told.append(
                 "With the opposite sign of the base the same model comes closer: the base, or all sensors, "
                 "may be inverted. Try scale = { ... = -1.0 } in [data]."
             )
         else:
-            rough, peaks = structured & (found.relative > ROUGH), result["data"]["peak_frequency"].values
+            found = residuals_of(self, error, frequencies)
+            rough, peaks = structured & (relative > ROUGH), result["data"]["peak_frequency"].values
             told += errors_of_model(found, sensors, rough, peaks, frequencies, self.band)
         told += odd_modes(frequencies, ratios, self.band)
         of_sampling = []
         if "coarseness" in part["bands"]:
-            of_sampling = too_coarse(part["bands"]["coarseness"].values, sensors, self.measured.record)
+            of_sampling = too_coarse(part["bands"]["coarseness"].values, sensors, self.record)
         return Verdict([*told, *of_sampling], not bad.any() and not of_sampling)
 
 
@@ -241,7 +293,7 @@ def gains_table(gains) -> dict:
     return table("gains", "data", "Sensors against the base", GAINS, rows)
 
 
-def measured_gain(measured) -> tuple[xr.DataArray, np.ndarray]:
+def measured_gain(data: Responses) -> tuple[xr.DataArray, np.ndarray]:
     """Gain of each sensor against the base (sensor, frequency) [-], and the frequencies of its peaks [Hz].
 
     The root of S_yy / S_xx by Welch's method, half-overlapping Hann windows of a third of the record: where a
@@ -250,12 +302,12 @@ def measured_gain(measured) -> tuple[xr.DataArray, np.ndarray]:
     """
     from scipy import signal  # a second to import
 
-    channels, step, base = measured.channels, measured.step, measured.base
+    channels, step, base = data.channels, data.step, data.motion
     size = max(min(64, base.size), base.size // 3)
     settings = {"fs": 1.0 / step, "nperseg": size, "nfft": 4 * size}
     frequency, power = signal.welch(base, **settings)
     answer = signal.welch(np.nan_to_num(channels.values), **settings)[1]
-    answer *= channels.sizes["time"] / measured.samples[:, None]  # gaps have no power
+    answer *= channels.sizes["time"] / data.samples[:, None]  # gaps have no power
     gain = np.sqrt(answer / np.maximum(power, 1e-6 * power.max()))
     total = np.log(np.maximum(np.sqrt((gain**2).mean(axis=0)), 1e-12))
     peaks, _ = signal.find_peaks(total, prominence=np.log(PROMINENCE))
@@ -264,51 +316,36 @@ def measured_gain(measured) -> tuple[xr.DataArray, np.ndarray]:
     return xr.DataArray(gain, coords, dims), frequency[peaks]
 
 
-# ---- what the median response leaves over ----
-
-
 class Residuals(NamedTuple):
-    """What the median response of a likelihood leaves over."""
+    """Spectra of what the median response of a likelihood leaves over."""
 
-    # (sensor,) its rms over that of the measured response, and the same for the response to the inverted base
-    relative: np.ndarray
-    turned: np.ndarray  # (sensor,)
     frequency: np.ndarray  # (frequency,) [Hz]
     # (sensor, frequency) its coherence with the base, and its power over that of the measured response [-]
     coherence: np.ndarray
-    left: np.ndarray  # (sensor, frequency)
-    densest: np.ndarray  # (sensor,) largest share of its energy in a tenth of the frequencies of the data
+    left: np.ndarray
     near: np.ndarray  # (sensor, mode) share of its energy near the natural frequencies of the model
 
 
-def residuals_of(data: Measured, band, part, frequencies) -> Residuals:
-    """Spectra of what the median response leaves over, and of the base."""
+def residuals_of(data: Responses, error, frequencies) -> Residuals:
+    """Spectra of the error (sensor, time) of the median response, beside those of the base."""
     from scipy import signal  # a second to import
 
-    measured = part["observed_data"]["y"].values
-    gaps = np.isnan(measured)  # zero in both: nothing is left over there
-    measured = np.where(gaps, 0.0, measured)
-    response = np.where(gaps, 0.0, part["bands"]["response"].sel(quantile=0.5).values)
-    total, size = np.sqrt((measured**2).sum(axis=1)), measured.shape[1]
-    error = measured - response
+    measured, size = np.nan_to_num(data.channels.values), error.shape[1]
     if not error.any():  # a response without any error has no spectrum of it
         error = np.finfo(float).eps * measured
     fs = 1.0 / data.step
     rough = {"fs": fs, "nperseg": min(size, max(16, size // SEGMENTS))}
     with np.errstate(divide="ignore", invalid="ignore"):  # of frequencies without any motion
-        frequency, coherence = signal.coherence(data.base[:size], error, **rough)
+        frequency, coherence = signal.coherence(data.motion[:size], error, **rough)
     fine = min(size, max(64, size // 3))
     at, power = signal.welch(error, fs=fs, nperseg=fine, nfft=4 * fine)
     close = np.maximum(BESIDE * frequencies, 2.0 * fs / fine)[:, None]
     beside = np.abs(at - frequencies[:, None]) < close
     beside &= np.cumsum(beside, axis=0) == 1  # each frequency counts once
     return Residuals(
-        np.sqrt((error**2).sum(axis=1)) / total,
-        np.sqrt(((measured + response) ** 2).sum(axis=1)) / total,
         frequency,
         np.nan_to_num(coherence),
         signal.welch(error, **rough)[1] / signal.welch(measured, **rough)[1],
-        densest_share(error, data.step, band),
         power @ beside.T / power.sum(axis=1, keepdims=True),
     )
 

@@ -1,11 +1,11 @@
 """Places of the degrees of freedom, and shapes of modes there, for drawings."""
 
-import csv
 import json
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from pymc_features.exceptions import ConfigError
@@ -13,7 +13,7 @@ from pymc_features.update.config.keys import shown
 from pymc_features.update.kinds.base import modes_of_draws, thinned
 
 AXES = ("x", "y", "z")
-COLUMNS = ("dof", "name", *AXES, "direction", "line")
+COLUMNS = ("dof", "name", *AXES, "direction", "line")  # of a file of nodes
 SHAPES, MODES = 100, 10  # draws, and modes at least
 MOST_POINTS = 1000
 
@@ -46,7 +46,7 @@ def points_of(problem) -> Points:
 def geometry(problem) -> xr.Dataset:
     """Places [m] of the points that are drawn, the directions in which they move, and lines between them."""
     points, modal = points_of(problem), problem.modal
-    n, held = len(points.dofs), points.dofs.tolist()
+    n, drawn = len(points.dofs), points.dofs.tolist()
     style = "storeys" if problem.structure.has_storeys else "entries"
     places, lines = np.outer(1.0 + points.dofs, [0.0, 0.0, 1.0]), [list(range(n))]
     directions = [[1.0, 0.0, 0.0]] * n
@@ -56,7 +56,7 @@ def geometry(problem) -> xr.Dataset:
         spread = np.ptp(places, axis=0)  # along x where heights differ most, else along z
         default = [1.0, 0.0, 0.0] if spread[2] >= spread.max() > 0.0 else [0.0, 0.0, 1.0]
         directions = points.nodes.get("directions", [default] * n)
-    sensors = {name: held.index(dof) for name, dof in problem.first.placed.items() if dof in held}
+    sensors = {name: drawn.index(dof) for name, dof in problem.first.placed.items() if dof in drawn}
     attrs = {"style": style, "lines": json.dumps(lines), "sensors": json.dumps(sensors)}
     if modal is not None and len(modal.dofs):
         attrs["channels"] = json.dumps(points.of(modal.dofs))
@@ -91,86 +91,62 @@ def mode_shapes(problem, posterior: xr.Dataset) -> xr.Dataset:
     )
 
 
-class Row(NamedTuple):
-    """A point of a file."""
-
-    dof: int
-    place: tuple[float, float, float]
-    direction: tuple[float, float, float] | None
-
-
 def read_nodes(path: Path, channels: dict[str, int], n_dof: int) -> Points:
     """Read the nodes of a structure; `channels` are names to degrees of freedom, of which there are `n_dof`.
 
     The file is a CSV with the columns `dof`, from 0, or `name`, of a channel; `x`, `y`, `z` [m], zero where a
     column is missing; `direction`, x, y or z, perhaps with a minus, in which the degree of freedom moves; and
     `line`: rows that are equal there are joined in their order. Without a degree of freedom a node is held.
-    What is wrong is a ConfigError that names the line.
     """
     if not path.is_file():
         raise ConfigError(f"`modal.nodes` must be an existing file, got {path}. Leave it out for storeys.")
-    points, lines = {}, {}
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file)
-            header = table.fieldnames = [name.strip() for name in table.fieldnames or []]
-            check_header(path, header)
-            for cells in table:
-                cells = {name: (cell or "").strip() for name, cell in cells.items() if isinstance(name, str)}
-                row = row_of(cells, f"{path.name}, line {table.line_num}", channels, n_dof)
-                number = points.setdefault(row, len(points))
-                lines.setdefault(cells.get("line", ""), []).append(number)
-    except (UnicodeDecodeError, csv.Error) as error:
+        rows = pd.read_csv(path, dtype=str, keep_default_na=False, index_col=False, encoding="utf-8-sig")
+    except ValueError as error:
         raise ConfigError(f"`modal.nodes` must be a CSV file, got {path.name}: {error}.") from error
-    dofs = [row.dof for row in points]
+    rows = rows.rename(columns=str.strip).fillna("").apply(lambda column: column.str.strip())
+    if set(rows) - set(COLUMNS) or len({"dof", "name"} & set(rows)) != 1:
+        raise ConfigError(
+            f"`modal.nodes` must have the columns dof or name, x, y, z, and perhaps direction and line, got "
+            f"{shown(', '.join(rows))} in {path.name}."
+        )
+    if not set(AXES) & set(rows):
+        raise ConfigError(f"`modal.nodes` must have a column x, y or z, got none in {path.name}.")
+
+    def refuse(key, is_wrong, words, advice=""):
+        if is_wrong.any():
+            at = int(is_wrong.argmax())
+            where, got = f"{path.name}, line {at + 2}", shown(rows[key][at])
+            raise ConfigError(f"`modal.nodes`, {where}: `{key}` must be {words}, got {got}. {advice}".strip())
+
+    if "name" in rows:
+        words = f"one of the channels {', '.join(channels)}"
+        refuse("name", ~rows["name"].isin(["", *channels]), words, "Use a column `dof` for others.")
+        dofs = rows["name"].map(channels)
+    else:
+        words = f"a whole number from 0 to {n_dof - 1}, or empty where a node is held"
+        refuse("dof", ~rows["dof"].isin(["", *map(str, range(n_dof))]), words)
+        dofs = pd.to_numeric(rows["dof"], errors="coerce")
+    columns = {"dof": dofs.fillna(-1).astype(int)}
+    for axis in AXES:
+        columns[axis] = pd.to_numeric(rows.get(axis, pd.Series(0.0, rows.index)), errors="coerce")
+        refuse(axis, ~np.isfinite(columns[axis]), "a number in m")
+    if "direction" in rows:
+        along, is_held = rows["direction"].str.lstrip("+-"), columns["dof"] < 0
+        refuse("direction", ~along.isin(AXES) & ~((along == "") & is_held), "x, y, z or -x, -y, -z")
+        sign = np.where(rows["direction"].str.startswith("-"), -1.0, 1.0)
+        columns |= {f"along {axis}": sign * (along == axis) for axis in AXES}
+    table = pd.DataFrame(columns)
+    points, numbers = table.drop_duplicates(), table.groupby([*table], sort=False).ngroup()
     for name, dof in channels.items():
-        if dof not in dofs:
+        if dof not in points["dof"].values:
             raise ConfigError(
                 f"`modal.nodes` must have a row for every channel, {path.name} has none for {name} (degree "
                 f"of freedom {dof}). Add it."
             )
-    nodes = {"coordinates": [row.place for row in points], "lines": list(lines.values())}
-    if "direction" in header:
-        nodes["directions"] = [row.direction for row in points]
-    return Points(np.array(dofs), nodes)
-
-
-def check_header(path, header) -> None:
-    """Known columns, each once, and those that are needed."""
-    unknown = set(header) - set(COLUMNS)
-    if unknown or len(set(header)) < len(header) or len({"dof", "name"} & set(header)) != 1:
-        raise ConfigError(
-            f"`modal.nodes` must have the columns dof or name, x, y, z, and perhaps direction and line, got "
-            f"{shown(', '.join(header))} in {path.name}."
-        )
-    if not set(AXES) & set(header):
-        raise ConfigError(f"`modal.nodes` must have a column x, y or z, got none in {path.name}.")
-
-
-def row_of(cells, where, channels, n_dof) -> Row:
-    """One line of a file: its degree of freedom, -1 where it is held, place [m] and direction."""
-
-    def refuse(key, wanted, advice=""):
-        text = f"`modal.nodes`, {where}: `{key}` must be {wanted}, got {shown(cells[key])}. {advice}"
-        raise ConfigError(text.strip())
-
-    name, text = cells.get("name", ""), cells.get("dof", "")
-    if name and name not in channels:
-        refuse("name", f"one of the channels {', '.join(channels)}", "Use a column `dof` for others.")
-    if text and not (text.isdecimal() and len(text) < 10 and int(text) < n_dof):
-        refuse("dof", f"a whole number from 0 to {n_dof - 1}, or empty where a node is held")
-    dof, place = channels[name] if name else int(text or -1), []
-    for axis in AXES:
-        try:
-            place.append(float(cells.get(axis, "0")))
-        except ValueError:
-            place.append(np.nan)
-        if not np.isfinite(place[-1]):
-            refuse(axis, "a number in m")
-    if "direction" not in cells:
-        return Row(dof, tuple(place), None)
-    axis = cells["direction"].lstrip("+-")
-    sign = -1.0 if cells["direction"].startswith("-") else 1.0
-    if axis not in AXES and not (axis == "" and dof < 0):
-        refuse("direction", "x, y, z or -x, -y, -z")
-    return Row(dof, tuple(place), tuple(sign * (name == axis) for name in AXES))
+    lines = numbers.groupby(rows.get("line", pd.Series("", rows.index)), sort=False).agg(list).tolist()
+    nodes = {"coordinates": list(points[[*AXES]].itertuples(index=False, name=None)), "lines": lines}
+    if "direction" in rows:
+        of_axes = points[[f"along {axis}" for axis in AXES]]
+        nodes["directions"] = list(of_axes.itertuples(index=False, name=None))
+    return Points(points["dof"].values, nodes)

@@ -71,7 +71,7 @@ def document_of(problem: Problem, result: xr.DataTree, channel_warnings=()) -> d
     n, predicted = len(problem.priors), predicted_rows(result)
     used = " and ".join(data.used for data in problem.data)
     tables = [
-        *(one for data in problem.data for one in data.tables(problem, result)),
+        *(one for data in problem.shown for one in data.tables(problem, result)),
         predicted_table(predicted),
         population_table(problem, result),
         *tables_of_model(problem, result, kinds),

@@ -58,13 +58,13 @@ def write_outputs(problem: Problem, result, folder, channel_warnings=()) -> list
 def figures(problem: Problem, result) -> dict[str, Callable]:
     """Names of every figure of the report to functions that draw; nothing is drawn yet."""
     found = {}
-    for data in problem.data:
+    for data in problem.shown:
         found |= data.figures(problem, result)
     units = {name: problem.unit(name) for name in problem.priors}
     for kind in kinds_of(result):
         part = result[kind]
         own = {"prior_posterior": partial(plots.prior_posterior, part, units=units)}
-        for data in problem.data:
+        for data in problem.shown:
             own |= data.figures_of(problem, part, kind)
         if "sample_stats" in part.children and part["sample_stats"].sizes.get("stage", 0) > 1:
             own["stages"] = partial(plots.tempering, part)
