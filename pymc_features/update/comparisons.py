@@ -11,7 +11,6 @@ import xarray as xr
 from pymc_features.events import compare, hierarchical
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.keys import named_key, shown
-from pymc_features.update.config.priors import Prior
 from pymc_features.update.configuration import validated
 from pymc_features.update.kinds import KINDS
 from pymc_features.update.kinds.base import QUANTILES, declare, table
@@ -143,12 +142,7 @@ def hyper_model(problem: Problem) -> pm.Model:
     """The population: of each parameter `NAME_mean` and `NAME_scatter`, on which it depends."""
     with pm.Model() as model:
         for name, asked in problem.config.hierarchical.population.items():
-            mean, scatter = (
-                Prior(f"hierarchical.population.{name}.{part}", one.distribution, one.arguments).declare(
-                    f"{name}_{part}"
-                )
-                for part, one in (("mean", asked.mean), ("scatter", asked.scatter))
-            )
+            mean, scatter = (getattr(asked, p).variable(f"{name}_{p}") for p in ("mean", "scatter"))
             if asked.distribution == "LogNormal":
                 pm.LogNormal(name, pm.math.log(mean), scatter)
             else:

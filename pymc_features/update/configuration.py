@@ -9,6 +9,7 @@ from pymc_features.exceptions import ConfigError
 from pymc_features.update.config import sections
 from pymc_features.update.config.entries import units_in
 from pymc_features.update.config.keys import check_keys, parsed, sentence, shown
+from pymc_features.update.config.priors import Prior
 from pymc_features.update.config.structures import SPECIMENS, StructureSection, with_damping
 from pymc_features.update.kinds import KINDS_OF_DATA
 from pymc_features.update.predictions import Predict
@@ -23,7 +24,7 @@ class File(sections.Section):
     record: sections.RecordFile | None = sections.key("a table", None)
     processing: sections.Processing = sections.key("a table", sections.Processing())
     structure: StructureSection | None = sections.key(A_STRUCTURE, None)
-    priors: dict[str, sections.PriorSection] = sections.key("a table of priors, one or more", min_length=1)
+    priors: dict[str, Prior] = sections.key("a table of priors, one or more", min_length=1)
     likelihood: sections.Likelihood | None = sections.key("a table", None)
     sampler: sections.Sampler = sections.key("a table", sections.Sampler())
     predict: list[Predict] = sections.key("a list of tables, each [[predict]]", [])

@@ -174,10 +174,7 @@ def read_problem(path) -> Problem:
 
 def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
     """A configuration with everything it refers to, as of `read_problem`."""
-    priors = {
-        name: Prior(f"priors.{name}", section.distribution, section.arguments)
-        for name, section in config.priors.items()
-    }
+    priors = config.priors
     structure = model_of(config, path.parent)
     with named_key("structure"):
         expected = structure(**{n: priors[n].median for n in structure.names})

@@ -46,10 +46,13 @@ BROKEN = {  # what is said: what is changed, into what
     "`priors.draw` must have a name of letters, digits and underscores that is not": ("k3 = {", "draw = {"),
     "`priors.sigma.distribution` must be a continuous distribution of": (HALF, '"HalfNormol"'),
     "`priors.sigma.distribution` must be a continuous distribution of PyMC, got": (HALF, '"__import__"'),
-    "`priors.sigma.distribution` must be one that can": ('"HalfNormal", sigma = 0.5', '"HalfFlat"'),
-    "`priors.sigma.scale` must be left out, it is no": ('"HalfNormal", sigma', '"HalfNormal", scale'),
+    "`priors.sigma` must be a `distribution` that can": ('"HalfNormal", sigma = 0.5', '"HalfFlat"'),
+    "`priors.sigma` must have arguments of HalfNormal (sigma, tau) alone, got": (
+        '"HalfNormal", sigma',
+        '"HalfNormal", scale',
+    ),
     "`priors.sigma` must have admissible arguments of HalfNormal, got": ("sigma = 0.5", "sigma = -0.5"),
-    "`priors.sigma.sigma` must be a finite number, got": ("sigma = 0.5", 'sigma = "half"'),
+    "`priors.sigma` must have finite numbers, got sigma = 'half'.": ("sigma = 0.5", 'sigma = "half"'),
     "`priors.sigma` must be used by the structure or a likelihood": (SIGMA, "sigma = 0.3 "),
     "`likelihood` must have the key `correlation_time` for CN-TAU,": ('["EXP", "ABC"]', '["EXP", "CN-TAU"]'),
     "`likelihood` must have `correlation_time` only with CN,": (SIGMA, f"{SIGMA}\ncorrelation_time = 0.05 #"),
@@ -113,23 +116,28 @@ def test_two_errors_are_counted(example, tmp_path):
         read_config(path)
 
 
+def prior_of(distribution, arguments):
+    """As of the file."""
+    return priors.Prior(distribution=distribution, **arguments)
+
+
 def test_priors_are_the_distributions_of_pymc():
-    draws = priors.Prior("priors.x", "Gamma", {"mu": 3.0, "sigma": 0.5}).draw(4000, 1)
+    draws = prior_of("Gamma", {"mu": 3.0, "sigma": 0.5}).draw(4000, 1)
     assert scipy.stats.kstest(draws, scipy.stats.gamma(36.0, scale=1.0 / 12.0).cdf).pvalue > 1e-3
     points = {"x_points": [0, 1, 2], "pdf_points": [0, 1, 0]}
-    draws = priors.Prior("priors.x", "Interpolated", points).draw(4000, 1)
+    draws = prior_of("Interpolated", points).draw(4000, 1)
     assert scipy.stats.kstest(draws, scipy.stats.triang(0.5, scale=2.0).cdf).pvalue > 1e-3
-    with pytest.raises(ConfigError, match="`priors.x` must be a scalar"):
-        priors.Prior("priors.x", "Normal", {"mu": [0.0, 1.0], "sigma": 1.0})
-    with pytest.raises(ConfigError, match="Either use alpha and beta"):
-        priors.Prior("priors.x", "Gamma", {"alpha": 2.0})
+    with pytest.raises(ValidationError, match="must be a scalar"):
+        prior_of("Normal", {"mu": [0.0, 1.0], "sigma": 1.0})
+    with pytest.raises(ValidationError, match="Either use alpha and beta"):
+        prior_of("Gamma", {"alpha": 2.0})
     for points in ([1, -1, 2], [0, -1, 0]):
-        with pytest.raises(ConfigError, match="`priors.x` must have a positive and finite density"):
-            priors.Prior("priors.x", "Interpolated", {"x_points": [0, 1, 2], "pdf_points": points})
-    with pytest.raises(ConfigError, match="`priors.x` must have admissible arguments of PolyaGamma"):
-        priors.Prior("priors.x", "PolyaGamma", {"h": -1.0, "z": 0.0})  # or polyagamma is not installed
-    with pytest.raises(ConfigError, match="must spread over finite values"):
-        priors.Prior("priors.x", "Uniform", {"lower": 2.0, "upper": 2.0})
+        with pytest.raises(ValidationError, match="must have a positive and finite density"):
+            prior_of("Interpolated", {"x_points": [0, 1, 2], "pdf_points": points})
+    with pytest.raises(ValidationError, match="must have admissible arguments of PolyaGamma"):
+        prior_of("PolyaGamma", {"h": -1.0, "z": 0.0})  # or polyagamma is not installed
+    with pytest.raises(ValidationError, match="must spread over finite values"):
+        prior_of("Uniform", {"lower": 2.0, "upper": 2.0})
 
 
 # --------------------------------------------------------------------------- every key

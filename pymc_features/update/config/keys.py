@@ -187,7 +187,8 @@ def words(error, path, meaning, entry, schema) -> str:
     if kind == "extra_forbidden":
         return f"`{path}` must be left out here, got {shown(given)}."
     if kind == "value_error":
-        return f"`{path}` {error['ctx']['error']}."
+        text = str(error["ctx"]["error"])
+        return f"`{path}` {text}{'' if text[-1] in '.?' else '.'}"
     if kind in ("model_type", "model_attributes_type", "dict_type"):
         return f"`{path}` must be a table, got {shown(given)}."
     whole = re.sub(r"\[\d+\]$", "", path)  # the words are those of the list

@@ -6,11 +6,11 @@ from functools import cached_property
 
 import numpy as np
 import pymc as pm
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pymc.distributions import continuous
 from pytensor.compile.mode import Mode
 
 from pymc_features._checks import is_number
-from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.keys import shown
 
 #: Classes of `pymc.distributions.continuous` that stand for families of distributions.
@@ -33,102 +33,79 @@ def arguments_of(name: str) -> list[str]:
     return [p.name for p in parameters if p.kind in _ARGUMENTS]
 
 
-class Prior:
-    """A scalar prior, checked.
+class Prior(BaseModel):
+    """A scalar prior: its distribution, and the distribution's own arguments besides."""
 
-    Parameters
-    ----------
-    key : str
-        Where it stands in the file, for messages.
-    name : str
-        Of its distribution.
-    arguments : dict
-        Names to numbers, or lists of numbers (`Interpolated`).
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+    distribution: str = Field(description="the name of a continuous distribution of PyMC")
 
-    Raises
-    ------
-    ConfigError
-        If there is no such distribution, or an argument is unknown, missing or out of range.
-    """
-
-    def __init__(self, key: str, name: str, arguments: dict):
-        self.key, self.name, self.arguments = key, name, dict(arguments)
+    @field_validator("distribution")
+    @classmethod
+    def is_known(cls, name):
+        """Only what PyMC has."""
         if name not in DISTRIBUTIONS:
             close = difflib.get_close_matches(name, DISTRIBUTIONS, n=1)
-            hint = f"Did you mean {close[0]}?" if close else f"There are {', '.join(DISTRIBUTIONS)}."
-            raise ConfigError(
-                f"`{key}.distribution` must be a continuous distribution of PyMC, got {shown(name)}. {hint}"
-            )
-        known = arguments_of(name)
-        for argument, value in arguments.items():
+            hint = f"Did you mean {close[0]}?" if close else f"There are {', '.join(DISTRIBUTIONS)}"
+            raise ValueError(f"must be a continuous distribution of PyMC, got {shown(name)}. {hint}")
+        return name
+
+    @model_validator(mode="after")
+    def is_admissible(self):
+        """Refuse what is no argument, what PyMC refuses, a constant, and what is no density."""
+        got, known = f"got {self!r}", arguments_of(self.distribution)
+        for argument, value in self.model_extra.items():
             if argument not in known:
-                raise ConfigError(
-                    f"`{key}.{argument}` must be left out, it is no argument of {name}. "
-                    f"Those are {', '.join(known) or 'none'}."
-                )
+                named = f"{self.distribution} ({', '.join(known) or 'none'})"
+                raise ValueError(f"must have arguments of {named} alone, got `{argument}`")
             numbers = value if isinstance(value, list) and value else [value]
             if not all(is_number(v) and np.isfinite(v) for v in numbers):
-                raise ConfigError(f"`{key}.{argument}` must be a finite number, got {shown(value)}.")
-        self._try()
-
-    def __repr__(self):
-        listed = ", ".join(f"{name}={value:g}" if is_number(value) else f"{name}=[...]"
-                           for name, value in self.arguments.items())  # fmt: skip
-        return f"{self.name}({listed})"
-
-    def _given(self):
-        return {
-            name: np.array(value, dtype=np.float64) if isinstance(value, list) else value
-            for name, value in self.arguments.items()
-        }
-
-    def _try(self):
-        """Refuse what PyMC refuses, a constant, and what is no density."""
-        got = f"got {self!r}"
+                raise ValueError(f"must have finite numbers, got {argument} = {shown(value)}")
         try:
-            variable = DISTRIBUTIONS[self.name].dist(**self._given())
-            if variable.ndim:
-                raise ConfigError(f"`{self.key}` must be a scalar, {got}. Give each entry its own prior.")
-            pm.logp(variable, 0.5).eval(mode=_PLAIN)
-            draws = self.draw(8, 0)
-            densities = pm.logp(variable, draws).eval(mode=_PLAIN)
-        except ConfigError:
-            raise
+            variable = self.variable()
+            if not variable.ndim:
+                pm.logp(variable, 0.5).eval(mode=_PLAIN)
+                draws = self.draw(8, 0)
+                densities = pm.logp(variable, draws).eval(mode=_PLAIN)
         except NotImplementedError:
-            raise ConfigError(
-                f"`{self.key}.distribution` must be one that can be drawn from, {got}. "
-                "An improper prior has no draws to start from."
+            raise ValueError(
+                f"must be a `distribution` that can be drawn from, {got}. An improper prior has no draws to "
+                "start from"
             ) from None
         except Exception as error:  # each distribution has its own ways to refuse
             reason = (str(error) or type(error).__name__).splitlines()[0]
             reason = reason.removeprefix("Domain error in arguments. ").rstrip(".")
-            raise ConfigError(
-                f"`{self.key}` must have admissible arguments of {self.name}, {got}: {reason}."
+            raise ValueError(
+                f"must have admissible arguments of {self.distribution}, {got}: {reason}"
             ) from error
+        if variable.ndim:
+            raise ValueError(f"must be a scalar, {got}. Give each entry its own prior")
         if not np.isfinite(draws).all() or np.ptp(draws) == 0.0:
-            raise ConfigError(f"`{self.key}` must spread over finite values, {got}. Fix it as a number.")
-        if not np.isfinite(densities).all() or np.min(self.arguments.get("pdf_points", 0.0)) < 0.0:
-            raise ConfigError(
-                f"`{self.key}` must have a positive and finite density, {got}. Change its arguments."
-            )
+            raise ValueError(f"must spread over finite values, {got}. Fix it as a number")
+        if not np.isfinite(densities).all() or np.min(self.model_extra.get("pdf_points", 0.0)) < 0.0:
+            raise ValueError(f"must have a positive and finite density, {got}. Change its arguments")
+        return self
+
+    def __repr__(self):
+        listed = (f"{k}={v:g}" if is_number(v) else f"{k}=[...]" for k, v in self.model_extra.items())
+        return f"{self.distribution}({', '.join(listed)})"
+
+    def variable(self, *name, **shape):
+        """A variable, of the model of the context where it has a name."""
+        given, known = self.model_extra, DISTRIBUTIONS[self.distribution]
+        given = {k: np.array(v, np.float64) if isinstance(v, list) else v for k, v in given.items()}
+        return (known if name else known.dist)(*name, **given, **shape)
 
     @cached_property
     def median(self) -> float:
         """A value in the middle, of draws."""
         return float(np.median(self.draw(501, 1)))
 
-    def declare(self, name: str):
-        """Add the variable to the model of the context."""
-        return DISTRIBUTIONS[self.name](name, **self._given())
-
     @property
     def density(self) -> tuple[np.ndarray, np.ndarray]:
         """Values (k,), from 0.5 to 99.5 % of draws, and the density (k,) there."""
         values = np.linspace(*np.quantile(self.draw(501, 1), [0.005, 0.995]), 200)
-        variable = DISTRIBUTIONS[self.name].dist(**self._given())
-        return values, np.exp(pm.logp(variable, values).eval(mode=_PLAIN))
+        return values, np.exp(pm.logp(self.variable(), values).eval(mode=_PLAIN))
 
     def draw(self, n: int, seed) -> np.ndarray:
         """Draws (n,)."""
-        variable = DISTRIBUTIONS[self.name].dist(**self._given(), size=n)
-        return np.asarray(pm.draw(variable, random_seed=seed, mode=_PLAIN))
+        return np.asarray(pm.draw(self.variable(size=n), random_seed=seed, mode=_PLAIN))

@@ -5,13 +5,14 @@ The description of a key completes the sentence "`key` must be ..." in messages,
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
+from pydantic import BaseModel, Field, PlainValidator, model_validator
 
 from pymc_features._checks import is_number
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.records import INTERPOLATIONS, Interpolation
 from pymc_features.update.config.entries import STRICT, Vector, key, priors_in
 from pymc_features.update.config.keys import shown
+from pymc_features.update.config.priors import Prior
 
 ERRORS = {"sigma": "m/s^2", "correlation_time": "s", "m": "-"}  # parameters of the errors, with their units
 #: What sensors measure, by the quantity of the response that it is compared with.
@@ -304,24 +305,12 @@ class Candidate(Section):
     weight: float = key("a prior probability beside 1 of [structure], positive", 1.0, gt=0)
 
 
-class PriorSection(BaseModel):
-    """A prior: its distribution, and the distribution's own arguments besides."""
-
-    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
-    distribution: str = Field(description="the name of a continuous distribution of PyMC")
-
-    @property
-    def arguments(self) -> dict:
-        """Names of arguments to values."""
-        return dict(self.model_extra)
-
-
 class Population(Section):
     """How one parameter varies from member to member."""
 
     distribution: Literal["Normal", "LogNormal"] = key('"Normal" or "LogNormal", then of ln', "LogNormal")
-    mean: PriorSection = key("a table, the prior of the mean, with LogNormal of the median")
-    scatter: PriorSection = key("a table, the prior of the standard deviation, with LogNormal that of ln")
+    mean: Prior = key("a table, the prior of the mean, with LogNormal of the median")
+    scatter: Prior = key("a table, the prior of the standard deviation, with LogNormal that of ln")
 
 
 class Hierarchical(Section):

@@ -221,7 +221,7 @@ def declare(problem, likelihood: str, tolerance: float | None = None) -> pm.Mode
     identified modes `modal`.
     """
     with pm.Model() as model:
-        values = {name: problem.priors[name].declare(name) for name in names_for(problem, likelihood)}
+        values = {name: problem.priors[name].variable(name) for name in names_for(problem, likelihood)}
         with named_key("structure"):
             structure = problem.structure(**{name: values[name] for name in problem.structure.names})
         for data in problem.data:

@@ -162,7 +162,7 @@ class Histories(KindOfData):
     def request(self, problem):
         """The request of the model's response, with the refinement that its priors need, and its outputs."""
         with pm.Model():
-            values = {name: problem.priors[name].declare(name) for name in problem.structure.names}
+            values = {name: problem.priors[name].variable(name) for name in problem.structure.names}
             structure = problem.structure(**values)
             asked, outputs = checked_request(structure, self.record, self.quantity, **self.settings(problem))
             return request_in_model(structure, self.record, asked), outputs
