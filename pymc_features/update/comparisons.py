@@ -171,7 +171,7 @@ def population_table(problem: Problem, result) -> dict:
     rows = []
     for kind, node in groups_in(result, "hierarchical").items():
         for name, asked in problem.config.hierarchical.population.items():
-            unit, population, members = problem.unit(name), node["population"], node["members"][name]
+            unit, population, members = problem.units[name], node["population"], node["members"][name]
             of_scatter = "-" if asked.distribution == "LogNormal" else unit
             columns = [
                 ("mean", unit, population[f"{name}_mean"]),

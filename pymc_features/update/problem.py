@@ -27,19 +27,9 @@ from pymc_features.update.predictions import check_predictions
 FIRST = 5  # natural frequencies in a sentence
 #: Keys that change no draw, or, as the tolerance, those of ABC alone; an event is recognised by its data.
 WITHOUT_EFFECT = (
-    "report",
-    "modal.nodes",
-    "likelihood.kinds",
-    "likelihood.epsilon",
-    "sampler.cores",
-    "predict",
-    "sensitivity",
-    "compare",
-    "hierarchical",
-    "external.cache",
-    "events.folder",
-    "events.pattern",
-    "events.files",
+    *("report", "modal.nodes", "likelihood.kinds", "likelihood.epsilon", "sampler.cores", "predict"),
+    *("sensitivity", "compare", "hierarchical", "external.cache"),
+    *("events.folder", "events.pattern", "events.files"),
 )
 
 
@@ -53,7 +43,6 @@ class Problem:
     raw: dict  # the same, as it was parsed
     structure: StructureOf | ProgramOf  # values of the priors to a structure
     expected: Structure | Any  # that at the medians of the priors
-    priors: dict[str, Prior]  # names to `Prior`, in the order of the file
     prior: PriorModes | None  # natural modes of draws of the priors; None without modes
     data: tuple[KindOfData, ...] = ()  # what was measured; the first decides what is sampled
 
@@ -61,6 +50,11 @@ class Problem:
     def folder(self) -> Path:
         """Files are relative to it."""
         return self.path.parent
+
+    @property
+    def priors(self) -> dict[str, Prior]:
+        """Names to priors, in the order of the file."""
+        return self.config.priors
 
     @property
     def first(self) -> KindOfData:
@@ -98,9 +92,11 @@ class Problem:
         """Likelihoods of the report in their order: first those whose width the residuals decide."""
         return sorted(self.first.likelihoods, key=lambda kind: not KINDS[kind].calibrates)
 
-    def unit(self, name: str) -> str:
-        """Unit of a prior, from where it is used."""
-        return self.config.uses()[name][0][1]
+    @property
+    def units(self) -> dict[str, str]:
+        """Names of the priors to their units, from where they are used."""
+        uses = self.config.uses()
+        return {name: uses[name][0][1] for name in self.priors}
 
     def verdict(self, result, kind: str) -> Verdict:
         """Judge how one likelihood of a result meets all data."""
@@ -109,7 +105,7 @@ class Problem:
 
     def settings(self) -> dict:
         """All that determines the draws, flat, for the folder they are kept in."""
-        kept = {k: v for k, v in flattened(self.raw) if not k.startswith(WITHOUT_EFFECT)}
+        kept = {k: v for k, v in flattened(self.raw).items() if not k.startswith(WITHOUT_EFFECT)}
         for data in self.data:
             kept |= data.prints()
         for file in self.structure.files:
@@ -134,13 +130,14 @@ def model_of(config: Config, folder: Path) -> StructureOf | ProgramOf:
     return StructureOf(config.structure, folder) if config.external is None else ProgramOf(config.external)
 
 
-def flattened(table, prefix=""):
+def flattened(table, prefix="") -> dict:
     """Dotted keys and values of a parsed file."""
+    found = {}
     for name, value in table.items():
-        if isinstance(value, dict):
-            yield from flattened(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
+        found |= (
+            flattened(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+        )
+    return found
 
 
 def read_problem(path) -> Problem:
@@ -174,17 +171,16 @@ def read_problem(path) -> Problem:
 
 def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
     """A configuration with everything it refers to, as of `read_problem`."""
-    priors = config.priors
-    structure = model_of(config, path.parent)
+    structure, prior = model_of(config, path.parent), None
     with named_key("structure"):
-        expected = structure(**{n: priors[n].median for n in structure.names})
-        draws, prior = {name: priors[name].draw for name in structure.names}, None
+        expected = structure(**{name: config.priors[name].median for name in structure.names})
         if structure.has_modes:
+            draws = {name: config.priors[name].draw for name in structure.names}
             prior = prior_modes(structure, draws, expected, structure.modes)
+    problem = Problem(path, text, config, raw, structure, expected, prior)
     if prior is not None:
-        for sentence in of_priors(prior, {name: uses[0][1] for name, uses in config.uses().items()}):
+        for sentence in of_priors(prior, problem.units):
             warnings.warn(sentence, PriorWarning, stacklevel=2)
-    problem = Problem(path, text, config, raw, structure, expected, priors, prior)
     problem = problem.with_data(*(kind.read(problem) for kind in KINDS_OF_DATA if kind.is_asked(config)))
     frequencies = config.report.natural_frequencies
     if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):

@@ -83,5 +83,5 @@ def run_update(
     for path, group in groups.items():
         result[path] = xr.DataTree(group)
     result.attrs["failed"] = json.dumps(failed)
-    result.attrs["units"] = json.dumps({name: problem.unit(name) for name in problem.priors})
+    result.attrs["units"] = json.dumps(problem.units)
     return result

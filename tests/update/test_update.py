@@ -502,7 +502,7 @@ def test_errors_correlated_in_time(example, tmp_path, kind):
     assert low < 385.0 < high < low + 40.0
     html = (tmp_path / "out" / "report.html").read_text()
     assert "errors correlated in time; tau" in html
-    assert problem.unit("tau") == "-"  # of a prior that is multiplied
+    assert problem.units["tau"] == "-"  # of a prior that is multiplied
     assert "likelihood.correlation_time" in html
 
 

@@ -80,7 +80,7 @@ def test_the_truth_is_found_and_reported(updated):
     assert found.sentences == [
         "The specimen explains the loops: it accounts for 100 % of the force (share of the mean square)."
     ]
-    assert problem.unit("sigma") == "N" and problem.unit("slip") == "-"
+    assert problem.units["sigma"] == "N" and problem.units["slip"] == "-"
     assert "NORM_loops.png" in {path.name for path in paths}
     page = words(paths[-1].read_text())
     assert "121 measured forces of a cyclic test" in page and "displacement [m]" in page

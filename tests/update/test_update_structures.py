@@ -86,7 +86,7 @@ def with_stiffness(value, *names):
 def test_a_tower_from_the_file_is_the_one_written_by_hand(tower):
     """Log-probability, its gradient and natural frequencies with three parameters of a taper."""
     problem = problem_of(tower)
-    assert [problem.unit(name) for name in ("k_base", "k_top", "p")] == ["N/m", "N/m", "-"]
+    assert [problem.units[name] for name in ("k_base", "k_top", "p")] == ["N/m", "N/m", "-"]
     _, base, *sensors = np.loadtxt(tower / "tower.csv", delimiter=",", skiprows=1).T
     with pm.Model() as by_hand:
         k_base = pm.LogNormal("k_base", 20.7, 0.2)
@@ -374,5 +374,5 @@ def test_matrices_of_the_page(tmp_path, monkeypatch):
     np.testing.assert_allclose(stiffness, 1e8 * np.array(expected))
     np.testing.assert_allclose(damping, 0.1 * mass + 1e-3 * stiffness)
     assert problem.structure.n_modes == 2
-    assert problem.unit("beta") == "s"
+    assert problem.units["beta"] == "s"
     assert "frame.npz_sha256" in problem.settings()

@@ -228,12 +228,10 @@ class Events(Responses):
         return [*super().tables(problem, result), own]
 
     def figures_of(self, problem, part, kind):
-        units = {name: problem.unit(name) for name in problem.priors}
-
         def draw():
             axes = plots.sequence(part)
             for ax in axes:
-                ax.set_ylabel(f"{ax.get_ylabel()} [{units.get(ax.get_ylabel(), '-')}]")
+                ax.set_ylabel(f"{ax.get_ylabel()} [{problem.units.get(ax.get_ylabel(), '-')}]")
             return axes
 
         return {"events": draw} | super().figures_of(problem, part, kind)

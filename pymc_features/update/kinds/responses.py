@@ -224,15 +224,13 @@ class Responses(Histories):
 
     def check(self, problem, path):
         """Draw priors and channels; gains, and how coarse the base is sampled."""
-        priors = problem.priors
-        units = {name: problem.unit(name) for name in priors}
-        densities = {name: one.density for name, one in priors.items()}
+        densities = {name: prior.density for name, prior in problem.priors.items()}
         expected = self.expected(problem)[self.quantity].transpose("quantile", ..., "time")
         bands = expected.values[..., self.window]
-        wrote = drawn_to(path, lambda: draw_expected(self.with_motion, bands, densities, units))
+        wrote = drawn_to(path, lambda: draw_expected(self.with_motion, bands, densities, problem.units))
         if self.gains is not None:
             yield gains_table(self.gains)
-        middle = {name: priors[name].median for name in problem.structure.names}
+        middle = {name: problem.priors[name].median for name in problem.structure.names}
         share, change, size = self.refined(problem, middle)
         yield (
             f"The base is sampled {1.0 / share:.3g} times in a period of the highest mode used; "

@@ -126,7 +126,7 @@ def rows_of_result(problem: Problem, result: xr.DataTree) -> list[Row]:
     """All parameters, and natural frequencies in the band of the data, under all likelihoods."""
     import arviz as az  # slow to import
 
-    found = []
+    found, units = [], problem.units
     low, high = problem.first.band
     for kind in kinds_of(result):
         part = result[kind]
@@ -137,7 +137,7 @@ def rows_of_result(problem: Problem, result: xr.DataTree) -> list[Row]:
             r_hat = float(az.rhat(draws)) if posterior.sizes["chain"] > 1 else np.nan
             overlap = overlap_of(prior[name].values, draws.values)
             of_run = taught, r_hat, float(az.ess(draws)), overlap
-            found.append(Row(kind, name, problem.unit(name), *moments(draws, at.get(name)), *of_run))
+            found.append(Row(kind, name, units[name], *moments(draws, at.get(name)), *of_run))
         modal = (
             part["modal"]["natural_frequency"] if "modal" in part.children else xr.DataArray([], dims="mode")
         )
@@ -213,7 +213,7 @@ def tables_of_model(problem, result, kinds) -> list[dict]:
     """Priors and likelihoods."""
     uses = problem.config.uses()
     priors = [
-        (name, pretty(problem.unit(name)), repr(prior), ", ".join(key for key, _ in uses[name]))
+        (name, pretty(problem.units[name]), repr(prior), ", ".join(key for key, _ in uses[name]))
         for name, prior in problem.priors.items()
     ]
     parts = {kind: result[kind].attrs for kind in kinds}

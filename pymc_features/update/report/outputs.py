@@ -60,10 +60,9 @@ def figures(problem: Problem, result) -> dict[str, Callable]:
     found = {}
     for data in problem.shown:
         found |= data.figures(problem, result)
-    units = {name: problem.unit(name) for name in problem.priors}
     for kind in kinds_of(result):
         part = result[kind]
-        own = {"prior_posterior": partial(plots.prior_posterior, part, units=units)}
+        own = {"prior_posterior": partial(plots.prior_posterior, part, units=problem.units)}
         for data in problem.shown:
             own |= data.figures_of(problem, part, kind)
         if "sample_stats" in part.children and part["sample_stats"].sizes.get("stage", 0) > 1:
