@@ -20,6 +20,7 @@ from pymc_features.exceptions import ConfigError, StudyMismatchError
 from pymc_features.update.config.keys import shown
 from pymc_features.update.config.sections import Section, key
 from pymc_features.update.kinds.base import declare, kinds_of, table
+from pymc_features.update.kinds.channels import checked_dofs
 from pymc_features.update.kinds.histories import WITH_EVIDENCE
 from pymc_features.update.kinds.responses import Responses
 
@@ -117,12 +118,13 @@ class Events(Responses):
         An event is a file with all channels, or a folder in which `data.files` and `record.path` are.
         """
         config, events = problem.config, {}
+        dofs = checked_dofs(config, problem.expected.n_dof)
         for name, path in places(config.events, problem.folder).items():
             folder = path if path.is_dir() else path.parent
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 try:
-                    events[name] = cls.of_files(problem, of_event(config, path), folder)
+                    events[name] = cls.of_files(problem, of_event(config, path), folder, dofs)
                 except ConfigError as error:
                     raise ConfigError(f"event {name}: {error}") from error
             for warning in caught:

@@ -69,13 +69,13 @@ class Responses(Histories):
     @classmethod
     def read(cls, problem):
         """The channels, processed, and where they are on the structure."""
-        return cls.of_files(problem, problem.config, problem.folder).check_likelihood(problem)
+        dofs = files.checked_dofs(problem.config, problem.expected.n_dof)
+        return cls.of_files(problem, problem.config, problem.folder, dofs).check_likelihood(problem)
 
     @staticmethod
-    def of_files(problem, config, folder: Path) -> "Responses":
+    def of_files(problem, config, folder: Path, dofs) -> "Responses":
         """Read, correct, check and process the channels of a configuration with files in a folder."""
         data, asked = config.data, config.processing
-        dofs = files.checked_dofs(config, problem.expected.n_dof)
         channels, source = files.read_corrected(config, folder)
         section, file = data, source
         if config.record is not None:

@@ -15,7 +15,6 @@ Terminal, page, `--json`, `table.csv` and `table.tex` are made from it. A table 
 its section; without columns it is its note alone.
 """
 
-import contextlib
 import importlib.metadata
 import json
 
@@ -31,7 +30,7 @@ from pymc_features.update.kinds.events import CANNOT_BE_TOLD, UNTOLD
 from pymc_features.update.kinds.histories import bounds_of
 from pymc_features.update.predictions import PREDICTION, predicted_rows, predicted_table
 from pymc_features.update.problem import Problem
-from pymc_features.update.templates.numbers import Row, pretty
+from pymc_features.update.templates.numbers import Row, pretty, warning_of
 
 PACKAGES = ("pymc-features", "pymc", "pytensor", "numba", "numpy", "arviz")
 R_HAT = 1.05  # of chains of SMC that agree; they are few and short
@@ -41,6 +40,8 @@ TAUGHT = 0.1  # share of the prior's variance that the data must take away to ha
 MOVED = 0.8  # or the overlap with the prior that they must leave
 BINS = 20  # of equal prior probability, for the overlap
 COVERED = 0.8  # share of the samples in the 90 % band
+PRIORS = ("prior", "unit", "distribution", "used as")
+SAMPLED = ("likelihood", "what it takes for the error", "sampler", "seconds")
 #: Codes of findings to what is said of some names, and what to do; others are `run` and `failed`.
 FINDINGS = {
     "chains": ("Chains disagree on", "Increase `sampler.draws`, and look at the ranks."),
@@ -77,7 +78,6 @@ def document_of(problem: Problem, result: xr.DataTree, channel_warnings=()) -> d
         *tables_of_model(problem, result, kinds),
         *(table(f"{kind}_run", "sampling", note=" ".join(run_sentences(result[kind]))) for kind in kinds),
     ]
-    told = [f"{one['kind']}: {one['text'][:1].upper()}{one['text'][1:]}" for one in findings]
     return {
         "title": problem.config.report.title,
         "subtitle": (
@@ -87,7 +87,7 @@ def document_of(problem: Problem, result: xr.DataTree, channel_warnings=()) -> d
         "verdict": verdict._asdict(),
         "sentences": [{"text": text, "is_good": is_good} for text, is_good in sentences],
         "findings": findings,
-        "warnings": [*(f"data: {text}" for text in channel_warnings), *told],
+        "warnings": [*(f"data: {text}" for text in channel_warnings), *map(warning_of, findings)],
         "posterior": [
             {key: None if value != value else value for key, value in row._asdict().items()} for row in rows
         ],
@@ -95,7 +95,7 @@ def document_of(problem: Problem, result: xr.DataTree, channel_warnings=()) -> d
         "predicted": predicted,
         "tables": [one for one in tables if one["rows"] or not one["columns"]],
         "configuration": problem.text,
-        "versions": versions(),
+        "versions": [f"{name} {importlib.metadata.version(name)}" for name in PACKAGES],
     }
 
 
@@ -122,6 +122,11 @@ def as_json(document: dict) -> str:
     )
 
 
+def stats_of(part) -> xr.Dataset:
+    """What the sampler of one likelihood noted, perhaps nothing."""
+    return part["sample_stats"].to_dataset() if "sample_stats" in part.children else xr.Dataset()
+
+
 def rows_of_result(problem: Problem, result: xr.DataTree) -> list[Row]:
     """All parameters, and natural frequencies in the band of the data, under all likelihoods."""
     import arviz as az  # slow to import
@@ -138,10 +143,8 @@ def rows_of_result(problem: Problem, result: xr.DataTree) -> list[Row]:
             overlap = overlap_of(prior[name].values, draws.values)
             of_run = taught, r_hat, float(az.ess(draws)), overlap
             found.append(Row(kind, name, units[name], *moments(draws, at.get(name)), *of_run))
-        modal = (
-            part["modal"]["natural_frequency"] if "modal" in part.children else xr.DataArray([], dims="mode")
-        )
-        for k, one in enumerate(modal.transpose("mode", ...), start=1):
+        modes = part["modal"]["natural_frequency"].transpose("mode", ...) if "modal" in part.children else ()
+        for k, one in enumerate(modes, start=1):
             if k == 1 or low <= float(one.median()) <= high:  # else the data say nothing about it
                 found.append(Row(kind, f"f{k}", "Hz", *moments(one), *[np.nan] * 4))
     return found
@@ -171,7 +174,7 @@ def findings_of(result: xr.DataTree, rows: list[Row]) -> list[dict]:
             sentence, advice = FINDINGS[code]
             if names:
                 found.append((kind, code, f"{sentence} {', '.join(names)}. {advice}"))
-        stats = part["sample_stats"].to_dataset() if "sample_stats" in part.children else {}
+        stats = stats_of(part)
         if "failed" in stats and (n := int(stats["failed"].sum())):
             of_all = f"{n} of {int(stats['evaluations'].sum())} evaluations"
             found.append((kind, "impossible", f"{of_all} gave no response and count as impossible."))
@@ -183,8 +186,7 @@ def names_in_doubt(part, rows: list[Row]) -> dict[str, list[str]]:
     limit = R_HAT_NUTS if part.attrs["method"] == "NUTS" else R_HAT
     rows = [row for row in rows if np.isfinite(row.taught)]
     wide = [row for row in rows if row.taught < TAUGHT]
-    stats = part["sample_stats"].attrs if "sample_stats" in part.children else {}
-    apart = [direction for direction in stats.get("undetermined", "").split(", ") if direction]
+    apart = [direction for direction in stats_of(part).attrs.get("undetermined", "").split(", ") if direction]
     covered = part["bands"].get("coverage") if "bands" in part.children else None
     edges = {row.name: np.quantile(part["prior"][row.name].values, [0.01, 0.99]) for row in rows}
     return {
@@ -211,20 +213,16 @@ def changed(rows: list[Row]) -> str:
 
 def tables_of_model(problem, result, kinds) -> list[dict]:
     """Priors and likelihoods."""
-    uses = problem.config.uses()
+    uses, units = problem.config.uses(), problem.units
     priors = [
-        (name, pretty(problem.units[name]), repr(prior), ", ".join(key for key, _ in uses[name]))
+        (name, pretty(units[name]), repr(prior), ", ".join(key for key, _ in uses[name]))
         for name, prior in problem.priors.items()
     ]
-    parts = {kind: result[kind].attrs for kind in kinds}
-    likelihoods = [
-        (kind, KINDS[kind].meaning, attrs["method"], f"{attrs['seconds']:.0f}")
-        for kind, attrs in parts.items()
-    ]
-    columns = ("likelihood", "what it takes for the error", "sampler", "seconds")
+    runs = [(kind, KINDS[kind].meaning, result[kind].attrs) for kind in kinds]
+    likelihoods = [(*names, attrs["method"], f"{attrs['seconds']:.0f}") for *names, attrs in runs]
     return [
-        table("priors", "fitted", "Priors", ("prior", "unit", "distribution", "used as"), priors),
-        table("likelihoods", "fitted", "Likelihoods", columns, likelihoods),
+        table("priors", "fitted", "Priors", PRIORS, priors),
+        table("likelihoods", "fitted", "Likelihoods", SAMPLED, likelihoods),
     ]
 
 
@@ -233,7 +231,7 @@ def run_sentences(part) -> list[str]:
     sizes, kind = part["posterior"].sizes, part.attrs["kind"]
     chains = f"{sizes['chain']} chain{'s' if sizes['chain'] > 1 else ''} of {sizes['draw']} draws"
     told = [f"{kind} was sampled by {part.attrs['method']}: {chains}."]
-    stats = part["sample_stats"].to_dataset() if "sample_stats" in part.children else {}
+    stats = stats_of(part)
     if "evaluations" in stats:
         told.append(f"It took {int(stats['evaluations'].sum())} evaluations.")
     if "epsilon" in part.attrs:
@@ -245,7 +243,7 @@ def run_sentences(part) -> list[str]:
         total, error = (float(record[name].sum()) for name in ("log_score", "log_score_se"))
         number = f"is {total:.2f} with a standard error of at most {error:.2g}"
         told.append(f"The log evidence of all events {number if error < UNTOLD else CANNOT_BE_TOLD}.")
-    if "advice" in getattr(stats, "attrs", {}):
+    if "advice" in stats.attrs:
         return told + sentences_of_sample(stats.attrs, is_calibrated=bool(base))
     if "log_marginal_likelihood" in stats:
         values = stats["log_marginal_likelihood"].values
@@ -259,10 +257,7 @@ def run_sentences(part) -> list[str]:
 
 
 def sentences_of_sample(found, is_calibrated=False) -> list[str]:
-    """What `sample` says of its run, from its attributes; nothing of modes or evidence if calibrated.
-
-    After several events, modes were searched for in the first one alone.
-    """
+    """What `sample` says of its run, from its attributes; nothing of modes or evidence if calibrated."""
     n, told = found["n_modes"], []
     if not is_calibrated and "search_evaluations" in found:
         told = [
@@ -290,12 +285,3 @@ def sentences_of_sample(found, is_calibrated=False) -> list[str]:
 def ended(text: str) -> str:
     """A text as a sentence."""
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."
-
-
-def versions() -> list[str]:
-    """What it was computed with."""
-    found = []
-    for name in PACKAGES:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found.append(f"{name} {importlib.metadata.version(name)}")
-    return found

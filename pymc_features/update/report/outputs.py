@@ -17,7 +17,7 @@ from pymc_features.update.predictions import check_predictions, predictions
 from pymc_features.update.problem import Problem, model_of
 from pymc_features.update.report.document import document_of
 from pymc_features.update.report.page import page_of, read_result
-from pymc_features.update.templates.numbers import as_csv, as_latex, rows_of
+from pymc_features.update.templates.numbers import files_of, rows_of
 
 
 def write_outputs(problem: Problem, result, folder, channel_warnings=()) -> list[Path]:
@@ -46,7 +46,7 @@ def write_outputs(problem: Problem, result, folder, channel_warnings=()) -> list
     if "document" not in result.attrs:
         result.attrs["document"] = json.dumps(document_of(problem, result, channel_warnings))
     rows = rows_of(json.loads(result.attrs["document"]))
-    contents = {"update.nc": netcdf_bytes(result), "table.csv": as_csv(rows), "table.tex": as_latex(rows)}
+    contents = {"update.nc": netcdf_bytes(result)} | files_of(rows)
     contents |= {f"figures/{name}.png": png(draw) for name, draw in figures(problem, result).items()}
     contents["report.html"] = page_of(result)
     for name, content in contents.items():

@@ -12,16 +12,7 @@ import xarray as xr
 
 from pymc_features.storage import write_atomically
 from pymc_features.update.report.payload import payload_of
-from pymc_features.update.templates import TEMPLATES
-from pymc_features.update.templates.numbers import (
-    COLUMNS,
-    N_TEXTS,
-    as_csv,
-    as_latex,
-    cells,
-    is_number,
-    rows_of,
-)
+from pymc_features.update.templates import TEMPLATES, numbers
 
 
 def write_page(source, out=None) -> Path:
@@ -70,20 +61,14 @@ def read_result(path: Path, argument: str) -> xr.DataTree:
 
 def page_of(result) -> str:
     """The page of a result that has a `document`."""
-    document = json.loads(result.attrs["document"])
-    payload = payload_of(result)
-    rows = rows_of(document)
-    tables = {}
+    document, payload = json.loads(result.attrs["document"]), payload_of(result)
+    rows, tables = numbers.rows_of(document), {}
     for one in document["tables"]:
-        texts = [all(not is_number(row[k]) for row in one["rows"]) for k in range(len(one["columns"]))]
-        tables.setdefault(one["section"], []).append(one | {"texts": texts})
-    posterior = {"columns": COLUMNS, "rows": cells(rows), "texts": [k < N_TEXTS for k in range(len(COLUMNS))]}
-    shown = [",".join(row) for row in (COLUMNS, *posterior["rows"])]  # no cell has a comma
-    downloads = {
-        "table.csv": as_csv(rows),
-        "table.tex": as_latex(rows),
-        "table-as-shown.csv": "\n".join(shown),
-    }
+        tables.setdefault(one["section"], []).append(one | {"texts": numbers.columns_of_words(one)})
+    shown = [numbers.COLUMNS, *numbers.cells(rows)]
+    texts = [k < numbers.N_TEXTS for k in range(len(numbers.COLUMNS))]
+    posterior = {"columns": shown[0], "rows": shown[1:], "texts": texts}
+    downloads = numbers.files_of(rows) | {"table-as-shown.csv": "\n".join(map(",".join, shown))}
     plotly = files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")
     return TEMPLATES.get_template("report.html").render(
         document=document,

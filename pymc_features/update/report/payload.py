@@ -11,7 +11,13 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.modal.data import mac
-from pymc_features.update.templates.numbers import interval_texts, predicted_quantities, rows_of, scale_of
+from pymc_features.update.templates.numbers import (
+    interval_texts,
+    predicted_quantities,
+    rows_of,
+    scale_of,
+    scales_of,
+)
 
 BUDGET = 950_000  # characters of all responses and their spectra
 DRAWS = 600  # in the pair plot
@@ -26,31 +32,34 @@ def payload_of(result) -> dict:
     """What the scripts of the page draw."""
     document, units = json.loads(result.attrs["document"]), json.loads(result.attrs["units"])
     rows = rows_of(document)
-    kinds = list(dict.fromkeys(row.kind for row in rows))
-    scales = {}
-    for row in rows:
-        if row.name in units and row.name not in scales:
-            scale = scale_of(max(abs(row.q05), abs(row.q50), abs(row.q95)), row.unit)
-            scales[row.name] = {"unit": scale.unit, "factor": scale.factor}
-    found = {"kinds": kinds, "parameters": scales, "of": {}}
+    kinds, scales = list(dict.fromkeys(row.kind for row in rows)), scales_of(rows)
+    scales = {name: scales[name] for name in dict.fromkeys(row.name for row in rows) if name in units}
+    parameters = {name: {"unit": scale.unit, "factor": scale.factor} for name, scale in scales.items()}
     samples, shared = measured(result, [result[kind] for kind in kinds])
+    found = {"kinds": kinds, "parameters": parameters, "of": {}} | shared
     for kind in kinds:
         part, of_kind = result[kind], [row for row in rows if row.kind == kind]
-        own = {name: scale["factor"] for name, scale in scales.items() if name in part["posterior"]}
+        own = {name: scale.factor for name, scale in scales.items() if name in part["posterior"]}
         found["of"][kind] = {
             "parameters": densities(part, own, of_kind),
             "draws": draws_of(part, own),
-            **frequency_intervals(part),
-            "responses": responses(part, samples),
-            "modes": modes_of(part, result, len(kinds)),
-            "singular_values": fitted_values(part),
-            "events": events_of(part, own),
-            "stages": stages_of(part),
-            "ranks": ranks_of(part, own, of_kind),
+            **(frequency_intervals(part) if "modal" in part.children else {}),
+            "responses": responses(part, samples) if "bands" in part.children else None,
+            "modes": modes_of(part, result, len(kinds)) if "mode_shapes" in part.children else None,
+            "singular_values": fitted_values(part) if "spectra" in part.children else None,
+            "events": events_of(part, own) if "sequence" in part.children else None,
+            "stages": stages_of(part) if "sample_stats" in part.children else None,
+            "ranks": ranks_of(part, own, of_kind) if part["posterior"].sizes["chain"] > 1 else None,
         }
-    shared |= {"geometry": geometry(result), "data": data_of(result, result[kinds[0]])}
-    shared |= {"spectra": channel_values(result), "predicted": predicted(result) or None}
-    return found | {name: value for name, value in shared.items() if value is not None}
+    if "geometry" in result.children:
+        found["geometry"] = geometry(result)
+    if "data" in result.children and "gain" in result["data"]:
+        found["data"] = data_of(result, result[kinds[0]])
+    if "singular_values" in result.children:
+        found["spectra"] = channel_values(result)
+    if of_motions := predicted(result):
+        found["predicted"] = of_motions
+    return found
 
 
 def densities(part, factors, rows) -> dict:
@@ -58,14 +67,13 @@ def densities(part, factors, rows) -> dict:
     found, quantiles = {}, {row.name: np.array([row.q05, row.q50, row.q95]) for row in rows}
     for name, factor in factors.items():
         prior = part["prior"][name].values / factor
-        is_wide = prior.min() > 0.0 and np.quantile(prior, 0.99) > WIDE * np.median(prior)
-        of_both = (
-            density(part["posterior"][name].values / factor),
-            density(np.log10(prior) if is_wide else prior),
+        is_wide = bool(prior.min() > 0.0 and np.quantile(prior, 0.99) > WIDE * np.median(prior))
+        columns = (
+            *density(part["posterior"][name].values / factor),
+            *density(np.log10(prior) if is_wide else prior),
         )
-        columns = zip(("x", "y", "prior_x", "prior_y"), (*of_both[0], *of_both[1]), strict=True)
-        found[name] = {key: packed(values) for key, values in columns}
-        found[name] |= {"is_log": bool(is_wide), "quantiles": rounded(quantiles[name] / factor, 9)}
+        found[name] = dict(zip(("x", "y", "prior_x", "prior_y"), map(packed, columns), strict=True))
+        found[name] |= {"is_log": is_wide, "quantiles": rounded(quantiles[name] / factor, 9)}
     return found
 
 
@@ -86,8 +94,6 @@ def draws_of(part, factors) -> dict:
 
 def frequency_intervals(part) -> dict:
     """5, 50 and 95 % of each natural frequency [Hz], as numbers and as texts."""
-    if "modal" not in part.children:
-        return {}
     values = part["modal"]["natural_frequency"].values
     quantiles = np.nanquantile(values.reshape(-1, values.shape[-1]), [0.05, 0.5, 0.95], axis=0).T
     texts = [interval_texts(row, "Hz")[1] for row in quantiles]
@@ -103,10 +109,7 @@ def top_of(part) -> float:
 
 
 def measured(result, parts) -> tuple[list, dict]:
-    """Choose the samples of each sensor to draw: extremes of the measurement and of the first residual.
-
-    And what was measured there, with a prefix for its unit.
-    """
+    """Samples of each sensor to draw, extremes of measurement and first residual; and what was measured."""
     if "bands" not in parts[0].children:
         return [], {}
     observed = parts[0]["observed_data"]["y"]
@@ -125,7 +128,7 @@ def measured(result, parts) -> tuple[list, dict]:
         "values": [packed(y[at] / scale.factor) for y, at in zip(values, samples, strict=True)],
         "samples": [int(time.size), max(map(len, samples))],
     }
-    if "displacement" in observed.coords or "displacement" in result["data"].coords:
+    if "displacement" in result["data"]:
         displacement = result["data"]["displacement"].values
         found["displacement"] = [packed(1e3 * displacement[kept]) for kept in samples]
     return samples, {"measured": found}
@@ -136,10 +139,8 @@ def scale_of_responses(observed):
     return scale_of(float(np.nanmax(np.abs(observed.values))), observed.attrs.get("units", "-"))
 
 
-def responses(part, samples):
+def responses(part, samples) -> dict:
     """Median, bands as distances from it, components of draws, and spectra, of each sensor."""
-    if "bands" not in part.children:
-        return None
     bands, kept = part["bands"].to_dataset(), part["histories"].to_dataset()
     observed, time = part["observed_data"]["y"], bands["time"].values
     factor, found, top = scale_of_responses(observed).factor, [], top_of(part)
@@ -160,20 +161,16 @@ def responses(part, samples):
     return {"sensors": found, "coefficients": coefficients, "share": rounded(kept.attrs["share"], 4)}
 
 
-def geometry(result):
+def geometry(result) -> dict:
     """Find where the points of mode shapes are."""
-    if "geometry" not in result.children:
-        return None
     places = result["geometry"].to_dataset()
     found = {name: rounded(places[name].values, 5) for name in ("place", "direction")}
     attrs = {name: json.loads(places.attrs[name]) for name in ("lines", "sensors")}
     return found | attrs | {"style": places.attrs["style"]}
 
 
-def modes_of(part, result, n_kinds):
+def modes_of(part, result, n_kinds) -> dict:
     """Shapes of the model at some draws, identified ones with their partners, and the MAC of both."""
-    if "mode_shapes" not in part.children:
-        return None
     shapes, frequencies = (part["mode_shapes"][name].values for name in ("shape", "frequency"))
     n = max(1, min(MOST_GHOSTS, GHOSTS // (shapes[0].size * n_kinds)))
     some = np.unique(np.linspace(0, len(shapes) - 1, n).astype(int))  # the first is in the middle
@@ -184,30 +181,25 @@ def modes_of(part, result, n_kinds):
     points = json.loads(result["geometry"].attrs["channels"])
     at_channels = shapes[:, : identified.attrs["n_modes"]][..., points]
     agreement = [mac(identified["shape"].values, one) for one in at_channels]
-    return found | {
-        "identified": {
-            "names": matched["label"].values.astype(str).tolist(),
-            "partners": matched["partner"].values.tolist(),
-            "frequencies": rounded(identified["frequency"].values, 5),
-            "shapes": rounded(identified["shape"].values.real, 4),
-            "points": points,
-            "mac": rounded(np.median(agreement, axis=0), 4),
-        }
+    of_both = {
+        "names": matched["label"].values.astype(str).tolist(),
+        "partners": matched["partner"].values.tolist(),
+        "frequencies": rounded(identified["frequency"].values, 5),
+        "shapes": rounded(identified["shape"].values.real, 4),
+        "points": points,
+        "mac": rounded(np.median(agreement, axis=0), 4),
     }
+    return found | {"identified": of_both}
 
 
-def fitted_values(part):
+def fitted_values(part) -> dict:
     """Singular values of the spectra that the model makes: 5, 50 and 95 %."""
-    if "spectra" not in part.children:
-        return None
     fitted = part["spectra"].to_dataset()
     return {"frequency": packed(fitted["frequency"].values), "values": log_packed(fitted["response"].values)}
 
 
-def channel_values(result):
+def channel_values(result) -> dict:
     """Singular values of the spectra of the channels, the bands that are compared, and identified modes."""
-    if "singular_values" not in result.children:
-        return None
     spectrum = result["singular_values"].to_dataset()
     values = spectrum["singular_value"].values
     kept = extremes(np.log(values[:1]), 1200)
@@ -217,10 +209,8 @@ def channel_values(result):
     return found | {"bands": rounded(spectrum["band"].values, 5)}
 
 
-def events_of(part, factors):
+def events_of(part, factors) -> dict:
     """Mean and 90 % interval of each parameter after each event, and the alarms."""
-    if "sequence" not in part.children:
-        return None
     record = part["sequence"].to_dataset()
     names = [name for name in record["parameter"].values.astype(str) if name in factors]
     chosen = record.sel(parameter=names).transpose("parameter", "event", ...)
@@ -234,9 +224,9 @@ def events_of(part, factors):
     }
 
 
-def stages_of(part):
+def stages_of(part) -> dict | None:
     """Inverse temperature or tolerance, and acceptance, of each stage of each chain."""
-    stats = part["sample_stats"].to_dataset() if "sample_stats" in part.children else {}
+    stats = part["sample_stats"].to_dataset()
     name = next((n for n in ("epsilon", "beta") if n in stats and "stage" in stats[n].dims), None)
     if name is None or stats.sizes["stage"] < 2:
         return None
@@ -244,13 +234,10 @@ def stages_of(part):
     return {"name": name, "values": rounded(stats[name].values), "accept": rounded(accept, 4)}
 
 
-def ranks_of(part, factors, rows):
+def ranks_of(part, factors, rows) -> dict:
     """Ranks of the draws of each chain among all, less what is expected, and 95 % of chains that agree."""
     posterior = part["posterior"].to_dataset()
-    if posterior.sizes["chain"] < 2:
-        return None
-    effective = {row.name: row.ess / posterior.sizes["chain"] for row in rows}
-    found = {}
+    effective, found = {row.name: row.ess / posterior.sizes["chain"] for row in rows}, {}
     for name in factors:
         places, shares = rank_differences(posterior[name].transpose("chain", "draw").values)
         half = 1.96 * np.sqrt(places * (1.0 - places) / max(effective[name], 1.0))
@@ -258,10 +245,8 @@ def ranks_of(part, factors, rows):
     return found
 
 
-def data_of(result, part):
+def data_of(result, part) -> dict:
     """Motion of the base, gain of the sensors against it, and frequencies that are known."""
-    if "data" not in result.children or "gain" not in result["data"]:
-        return None
     data = result["data"].to_dataset()
     base, frequency = data["ground_acceleration"].values, data["frequency"].values
     shown = (frequency > 0.0) & (frequency <= top_of(part))
@@ -285,23 +270,21 @@ def predicted(result) -> list[dict]:
     """Find of each response to another motion the history where it is largest, peaks of draws, and limits."""
     found = []
     for title, data, name in predicted_quantities(result):
-        values, peak = data[name], data[f"{name}_peak"]
-        label, at = name.replace("_", " "), ""
+        values, peak, place = data[name], data[f"{name}_peak"], name.replace("_", " ")
         dims = [dim for dim in peak.dims if dim != "sample"]
-        if dims:
-            [dim] = dims
-            place = int(np.argmax(peak.median("sample").values))
-            values, at = values.isel({dim: place}), f", {dim} {peak[dim].values[place]}"
+        one = {"motion": title, "label": place}
+        for dim in dims:
+            at = int(np.argmax(peak.median("sample").values))
+            values, place = values.isel({dim: at}), f"{place}, {dim} {peak[dim].values[at]}"
         quantiles = values.transpose("quantile", "time").values
         scale = scale_of(float(np.abs(quantiles).max()), values.attrs["units"])
         kept = extremes(quantiles[[0, -1]], RECORD)
         columns = ("limit", "probability_any", "probability_any_se")
         limits = [data.get(f"{name}_{column}", xr.DataArray([])).values for column in columns]
         found.append(
-            {
-                "motion": title,
-                "label": label,
-                "place": f"{label}{at}",
+            one
+            | {
+                "place": place,
                 "unit": scale.unit,
                 "time": packed(values["time"].values[kept]),
                 "quantiles": packed(quantiles[:, kept] / scale.factor),
@@ -351,11 +334,10 @@ def extremes(rows, n: int) -> np.ndarray:
     if size <= max(n, each):
         return np.arange(size)
     starts = np.linspace(0, size, max(1, n // each) + 1).astype(int)
-    parts = [rows[:, first:last] for first, last in zip(starts[:-1], starts[1:], strict=True)]
-    kept = [
-        first + np.unique(np.concatenate([part.argmin(axis=1), part.argmax(axis=1)]))
-        for first, part in zip(starts[:-1], parts, strict=True)
-    ]
+    kept = []
+    for first, last in zip(starts[:-1], starts[1:], strict=True):
+        part = rows[:, first:last]
+        kept.append(first + np.unique([part.argmin(axis=1), part.argmax(axis=1)]))
     return np.concatenate(kept)
 
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 COLUMNS = ("likelihood", "parameter", "unit", "5 %", "50 %", "95 %", "mean", "sd", "learned", "R-hat", "ESS")
 N_TEXTS = 3  # columns of words in front
+NUMBER = re.compile(r"\s*(nan|[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?) *%?")
 DIGITS = 2  # significant digits of a standard deviation that are shown
 MOST_DECIMALS = 15
 # prefixes that people use with each unit: powers of ten, and what the unit is called then
@@ -104,15 +105,16 @@ def interval_texts(quantiles, unit: str) -> tuple[str, list[str]]:
     return scale.unit, fixed(quantiles, (high - low) / 3.29, scale)
 
 
+def scales_of(table: list[Row]) -> dict[str, Scale]:
+    """The prefix of each parameter, one under all likelihoods."""
+    return {r.name: scale_of(max(map(abs, (r.q05, r.q50, r.q95))), r.unit) for r in reversed(table)}
+
+
 def cells(table: list[Row]) -> list[tuple[str, ...]]:
-    """Texts of the rows, in the order of `COLUMNS`; a parameter has one prefix under all likelihoods."""
-    scales = {}
+    """Texts of the rows, in the order of `COLUMNS`."""
+    scales, found = scales_of(table), []
     for row in table:
-        size = max(abs(v) for v in (row.q05, row.q50, row.q95))
-        scales.setdefault((row.name, row.unit), scale_of(size, row.unit))
-    found = []
-    for row in table:
-        scale = scales[row.name, row.unit]
+        scale = scales[row.name]
         places = fixed([row.q05, row.q50, row.q95], row.sd, scale)
         mean = f"{row.mean / scale.factor:.{len(places[1].partition('.')[2])}f}"
         [sd] = fixed([row.sd], row.sd, scale)
@@ -126,9 +128,8 @@ def cells(table: list[Row]) -> list[tuple[str, ...]]:
 
 def as_csv(table: list[Row]) -> str:
     """The table in full precision and SI units, for programs."""
-    lines = [",".join(COLUMNS)]
-    shown = [row[: len(COLUMNS)] for row in table]
-    lines += [",".join(v if isinstance(v, str) else f"{v:.10g}" for v in row) for row in shown]
+    shown = [COLUMNS, *(row[: len(COLUMNS)] for row in table)]
+    lines = [",".join(v if isinstance(v, str) else f"{v:.10g}" for v in row) for row in shown]
     return "\n".join(lines) + "\n"
 
 
@@ -139,6 +140,11 @@ def as_latex(table: list[Row]) -> str:
     rows = [header, *([escaped(cell) for cell in row] for row in cells(table))]
     lines += [f"{' & '.join(row)} \\\\{' \\hline' if row is header else ''}" for row in rows]
     return "\n".join([*lines, "\\hline", "\\end{tabular}"]) + "\n"
+
+
+def files_of(table: list[Row]) -> dict[str, str]:
+    """Names of files to the table in them."""
+    return {"table.csv": as_csv(table), "table.tex": as_latex(table)}
 
 
 def escaped(text: str) -> str:
@@ -157,9 +163,11 @@ def predicted_quantities(result):
                 yield title, data, str(name).removesuffix("_peak")
 
 
-def is_number(text: str) -> bool:
-    """Whether a cell is a number, perhaps with a sign of per cent."""
-    try:
-        return float(text.removesuffix("%")) is not None
-    except ValueError:
-        return False
+def warning_of(finding: dict) -> str:
+    """A finding as a sentence that begins with its likelihood."""
+    return f"{finding['kind']}: {finding['text'][:1].upper()}{finding['text'][1:]}"
+
+
+def columns_of_words(table: dict) -> list[bool]:
+    """Which columns of a table have words, and no number, perhaps with a sign of per cent."""
+    return [not any(NUMBER.fullmatch(row[k]) for row in table["rows"]) for k in range(len(table["columns"]))]
