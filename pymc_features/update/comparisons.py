@@ -28,10 +28,7 @@ MEANING = (
 
 
 def variant(problem: Problem, changes: dict, at: str) -> Problem:
-    """The problem of another file in the same folder, without priors that it does not use.
-
-    If it cannot be read, the message of the ConfigError begins with the section `at`.
-    """
+    """The problem of another file in the same folder, without priors that it does not use."""
     raw = {name: section for name, section in problem.raw.items() if name not in LEFT_OUT} | changes
     try:
         uses = validated(raw, prune=True).uses()
@@ -45,9 +42,8 @@ def candidates_of(problem: Problem) -> dict[str, Problem]:
     """The problem with the structure of each candidate, and with the priors that it uses."""
     raw, found = problem.raw, {}
     for name, asked in problem.config.compare.items():
-        is_whole = "type" in asked.structure
-        own = {"structure": asked.structure if is_whole else raw["structure"] | asked.structure}
-        own["priors"] = raw["priors"] | asked.priors
+        given = {} if "type" in asked.structure else raw["structure"]
+        own = {"structure": given | asked.structure, "priors": raw["priors"] | asked.priors}
         if "likelihood" in raw:
             own["likelihood"] = raw["likelihood"] | {"kinds": with_evidence(problem.kinds)}
         found[name] = variant(problem, own, f"compare.{name}")
@@ -57,18 +53,16 @@ def candidates_of(problem: Problem) -> dict[str, Problem]:
 def members_of(problem: Problem) -> dict[str, Problem]:
     """Each member of [hierarchical] but the file itself, with its own sections in place of the file's."""
     asked, raw, found = problem.config.hierarchical, problem.raw, {}
-    for name, sections in asked.members.items() if asked else ():
-        own = {
-            section: raw[section] | given if isinstance(given, dict) and section in raw else given
-            for section, given in sections.items()
-        }
-        found[name] = variant(problem, own, f"hierarchical.members.{name}")
-    for name in asked.population if asked else ():
-        if name not in problem.structure.names:
-            raise ConfigError(
-                f"`hierarchical.population` must name parameters of the structure "
-                f"({', '.join(problem.structure.names)}), got {shown(name)}."
-            )
+    if asked is None:
+        return found
+    for name, sections in asked.members.items():
+        merged = {section: raw.get(section, {}) | given for section, given in sections.items()}
+        found[name] = variant(problem, merged, f"hierarchical.members.{name}")
+    if strangers := [name for name in asked.population if name not in problem.structure.names]:
+        raise ConfigError(
+            f"`hierarchical.population` must name parameters of the structure "
+            f"({', '.join(problem.structure.names)}), got {shown(strangers[0])}."
+        )
     return found
 
 
@@ -94,33 +88,21 @@ def parts_of(problems, folder: str, settings: Running) -> dict[str, dict[str, xr
 
 
 def compared(problem: Problem, candidates, parts, settings: Running) -> dict[str, xr.Dataset]:
-    """Evidence and probability of all candidates, and of `parts`, sampled with the structure of the file.
-
-    Of each likelihood that has an evidence `compare/<likelihood>` has the group `comparison` (model,) of
-    `compare`. Candidates are kept in `compare/<name>` of the folder of the update.
-    """
-    if not candidates:
-        return {}
+    """Evidence and probability of candidates, and of `parts`, of the file: /compare/<likelihood> (model,)."""
     found = {GIVEN: parts} | parts_of(candidates, "compare", settings)
     prior = {GIVEN: 1.0} | {name: one.weight for name, one in problem.config.compare.items()}
     groups = {}
-    for kind in with_evidence(parts):
+    for kind in with_evidence(parts) if candidates else ():
         of_kind = compare({name: of_model[kind] for name, of_model in found.items()}, prior=prior)
         groups[f"compare/{kind}"] = of_kind["comparison"].to_dataset()
     return groups
 
 
 def populations(problem: Problem, members, parts, settings: Running) -> dict[str, xr.Dataset]:
-    """The population that members, and `parts`, what was sampled with the file's data, come from.
-
-    Of each likelihood that has a density `hierarchical/<likelihood>/` has the groups `population` (mean and
-    scatter), `next`, and `members`. Members are kept in `hierarchical/<name>` of the folder of the update.
-    """
-    if not members:
-        return {}
+    """The population of members and `parts`, those of the file: mean, scatter, the next one, and members."""
     found = {GIVEN: parts} | parts_of(members, "hierarchical", settings)
     everyone, groups = {GIVEN: problem} | members, {}
-    for kind in [kind for kind in parts if not KINDS[kind].is_likelihood_free]:
+    for kind in [kind for kind in parts if not KINDS[kind].is_likelihood_free] if members else ():
         with named_key("hierarchical"), warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             result = hierarchical(
@@ -143,10 +125,8 @@ def hyper_model(problem: Problem) -> pm.Model:
     with pm.Model() as model:
         for name, asked in problem.config.hierarchical.population.items():
             mean, scatter = (getattr(asked, p).variable(f"{name}_{p}") for p in ("mean", "scatter"))
-            if asked.distribution == "LogNormal":
-                pm.LogNormal(name, pm.math.log(mean), scatter)
-            else:
-                pm.Normal(name, mean, scatter)
+            middle = pm.math.log(mean) if asked.distribution == "LogNormal" else mean
+            getattr(pm, asked.distribution)(name, middle, scatter)
     return model
 
 

@@ -53,10 +53,9 @@ class Predict(RecordFile):
                 raise ValueError(f"must have positive `limits`, got {values} for {name}")
         if self.scale == 0.0 or (self.peak is not None and "scale" in self.model_fields_set):
             raise ValueError(f"must have a `scale` that is not 0, or a `peak`, got scale {self.scale:g}")
-        if self.path is None and (
-            more := self.model_fields_set & {"units", "dt", "column", "wrapped", "delay"}
-        ):
-            raise ValueError(f"must have `{min(more)}` only with `path`, got no file")
+        of_file = self.model_fields_set & {"units", "dt", "column", "wrapped", "delay"}
+        if self.path is None and of_file:
+            raise ValueError(f"must have `{min(of_file)}` only with `path`, got no file")
         return self
 
     @property
@@ -68,9 +67,9 @@ class Predict(RecordFile):
 
 def check_predictions(config, structure) -> None:
     """Names differ, and structures have what is asked for."""
-    quantities = {f"predict[{number}]": asked.quantities for number, asked in enumerate(config.predict)}
-    for at, names in ({"report": config.report.quantities} | quantities).items():
-        if "inter_storey_drift" in names and not structure.has_storeys:
+    predict = {f"predict[{number}]": asked for number, asked in enumerate(config.predict)}
+    for at, asked in {"report": config.report, **predict}.items():
+        if "inter_storey_drift" in asked.quantities and not structure.has_storeys:
             raise ConfigError(
                 f"`{at}.quantities` must not have inter_storey_drift for a structure without storeys, "
                 f"{structure.title}. Use relative_displacement."
@@ -78,10 +77,9 @@ def check_predictions(config, structure) -> None:
     titles = [asked.title for asked in config.predict]
     if len(set(titles)) < len(titles):
         raise ConfigError(f"`predict` must have a `name` of its own for each, got {', '.join(titles)}.")
-    for number, asked in enumerate(config.predict):
-        at = f"predict[{number}]"
-        if not structure.has_modes:
-            raise ConfigError(f"`predict` must be left out with {structure.title}, got it. It has no base.")
+    if config.predict and not structure.has_modes:
+        raise ConfigError(f"`predict` must be left out with {structure.title}, got it. It has no base.")
+    for at, asked in predict.items():
         if asked.path is None and (config.data is None or config.data.excitation == "ambient"):
             raise ConfigError(f"`{at}.path` must be given, the file of a ground motion: none was measured.")
 
@@ -103,7 +101,7 @@ def motion_of(asked: Predict, at: str, folder: Path, measured: Record | None) ->
 def predictions(
     config, folder: Path, structure, posterior: xr.Dataset, measured: Record | None
 ) -> dict[str, xr.Dataset]:
-    """Predict every response that a file asks for under a posterior; `measured` is the measured motion.
+    """Predict every response that a file asks for under a posterior, perhaps to the measured motion.
 
     Each title has a Dataset: the motion `ground_acceleration` (record_time); of each quantity q its bands q
     (quantile, storey or sensor, time), the peaks of draws q_peak (sample, ...), and where it has limits
@@ -129,12 +127,7 @@ def predictions(
 
 
 def predicted_rows(result: xr.DataTree) -> list[dict]:
-    """What predictions in a result say of peaks and limits: a row for each response and each of its limits.
-
-    A row has `motion`, `quantity`, `unit`; `quantiles`, 5, 50 and 95 % of the peak at the place where it is
-    largest; `limit`, the `probability` that it is exceeded anywhere, and its standard `error`, None without
-    limits.
-    """
+    """Peaks of each response where it is largest, and for each limit the probability that it is exceeded."""
     rows = []
     for title, data, name in predicted_quantities(result):
         peak = data[f"{name}_peak"]

@@ -42,11 +42,7 @@ MANY = 0.5  # share of lost chains above which the best may be lost, too
 
 
 class Running(NamedTuple):
-    """How an update runs: folder, processes, where populations are evaluated, who is told, PyMC's bar.
-
-    Nothing of it changes a draw. See `run_update`; of one likelihood `executor` is what was opened, and
-    `progress` takes a sentence.
-    """
+    """How an update runs, see `run_update`; of one likelihood `progress` takes a sentence."""
 
     out: Any = None
     cores: int | None = None
@@ -61,11 +57,7 @@ class Running(NamedTuple):
 
 
 def run_parts(problem: Problem, settings: Running) -> tuple[dict[str, xr.DataTree], dict[str, str]]:
-    """Sample every likelihood that is not finished in the folder.
-
-    Returned are likelihoods to what was sampled and predicted, and calibrated ones to the reason why they
-    could not be had.
-    """
+    """Likelihoods to what was sampled, now or before, and calibrated ones to why they could not be had."""
     if settings.executor is not None and problem.config.sampler.method == "laplace":
         raise ConfigError("`sampler.method` must be one with populations for an executor, got laplace.")
     kinds, parts, failed = problem.kinds, {}, {}
@@ -129,11 +121,7 @@ def settings_of(problem: Problem, kind: str, flat: dict) -> dict:
 
 
 def run_part(problem, kind, own, base, running: Running) -> xr.DataTree:
-    """Sample one posterior and predict with it; warnings on the way are part of the result.
-
-    `own` is what the part is recognised by besides, such as the tolerance of ABC; `base` is the part that
-    is calibrated, if the likelihood is one that is made from another.
-    """
+    """Sample one posterior, or calibrate `base`, and predict with it; warnings are part of the result."""
     start = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
@@ -153,14 +141,9 @@ def run_part(problem, kind, own, base, running: Running) -> xr.DataTree:
     ours = [w for w in caught if w.category.__module__.startswith("pymc_features")]  # others: of machinery
     messages = list(dict.fromkeys(with_keys(str(warning.message)) for warning in ours))
     tree = xr.DataTree.from_dict(part)
-    tree.attrs = {
-        "kind": kind,
-        "method": method_of(problem, kind),
-        "seconds": time.perf_counter() - start,
-        "warnings": json.dumps(messages),
-    }
-    if "calibration" in part:
-        tree.attrs["calibration"] = idata.attrs["calibration"]
+    tree.attrs = {"kind": kind, "method": method_of(problem, kind), "seconds": time.perf_counter() - start}
+    tree.attrs |= {"warnings": json.dumps(messages)}
+    tree.attrs |= {name: idata.attrs[name] for name in ("calibration",) if name in part}
     tree.attrs |= {name: value for name, value in own.items() if value is not None}
     return tree
 

@@ -34,9 +34,8 @@ def remaining(problem) -> list[Remaining]:
     the likelihoods, see `fisher_information`, and P the inverse variances of the priors.
     """
     kind = problem.reported[0]
-    kind = KINDS[kind].calibrates or kind
     with named_key("sensitivity"):
-        model = declare(problem, kind)
+        model = declare(problem, KINDS[kind].calibrates or kind)
         function = product_function(model)
     names = [rv.name for rv in model.free_RVs]
     columns = {name: problem.priors[name].draw(SPREAD, k) for k, name in enumerate(names)}
@@ -64,15 +63,14 @@ def remaining(problem) -> list[Remaining]:
 
 def sensitivity_sentences(found: list[Remaining]) -> list[str]:
     """Which parameters these sensors hardly see, and which they cannot tell apart."""
-    blind = [f"{row.name} ({100 * row.middle:.0f} %)" for row in found if row.middle > BLIND]
-    pairs = {tuple(sorted((row.name, row.together))) for row in found if row.together}
+    blind = ", ".join(f"{row.name} ({100 * row.middle:.0f} %)" for row in found if row.middle > BLIND)
+    pairs = {" and ".join(sorted((row.name, row.together))) for row in found if row.together}
     told = []
     if blind:
         told.append(
-            f"These sensors can hardly see {', '.join(blind)}, in brackets what they leave of the prior's "
-            "standard deviation: fix them, or add sensors."
+            f"These sensors can hardly see {blind}, in brackets what they leave of the prior's standard "
+            "deviation: fix them, or add sensors."
         )
     if pairs:
-        named = ", ".join(" and ".join(pair) for pair in sorted(pairs))
-        told.append(f"They can hardly tell apart {named}.")
+        told.append(f"They can hardly tell apart {', '.join(sorted(pairs))}.")
     return told or ["These sensors can see every parameter."]

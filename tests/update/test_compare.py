@@ -90,7 +90,7 @@ def test_a_trim_that_begins_at_rest_is_not_told(tmp_path):
     ("line", "match"),
     [
         ("compare = [4.0, 9.0]", "`likelihood.kinds` must not have ABC with `processing.compare`"),
-        ("compare = [9.0, 4.0]", r"`processing.compare` must be two rising numbers"),
+        ("compare = [9.0, 4.0]", r"`processing.compare` must be two rising times"),
         ("compare = [4.0, 40.0]", r"`compare` must lie within the record, 0 s to 12 s"),
     ],
 )

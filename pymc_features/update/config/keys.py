@@ -77,8 +77,8 @@ def check_sizes(value, key: str = "", depth: int = 0) -> None:
 
 def check_keys(raw: dict) -> None:
     """Refuse unknown keys, all of them in one message."""
-    if unknown := list(Schema().unknown(raw)):
-        raise ConfigError(" ".join(unknown))
+    if unknown := " ".join(Schema().unknown(raw)):
+        raise ConfigError(unknown)
 
 
 class Schema:
@@ -168,8 +168,8 @@ class Schema:
 
 def sentence(error, raw: dict) -> str:
     """The first error of pydantic in words, and how many other places have one."""
-    schema, found = Schema(), error.errors(include_url=False)
-    places = [schema.place(e["loc"], raw) for e in found]
+    found = error.errors(include_url=False)
+    places = [Schema().place(one["loc"], raw) for one in found]
     more = len({path for path, *_ in places}) - 1
     first = words(found[0], *places[0])
     return f"{first} ({more} more after this one.)" if more else first

@@ -5,9 +5,8 @@ The description of a key completes the sentence "`key` must be ..." in messages,
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, PlainValidator, model_validator
+from pydantic import AfterValidator, BaseModel, Field, model_validator
 
-from pymc_features._checks import is_number
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.records import INTERPOLATIONS, Interpolation
 from pymc_features.update.config.entries import STRICT, Vector, key, priors_in
@@ -45,26 +44,20 @@ def parameters_of(key, section):
             yield f"{key}.{name}", field.json_schema_extra["unit"], value
 
 
-def window(value):
-    """Two rising times [s]."""
-    numbers = isinstance(value, list) and all(map(is_number, value))
-    if not (numbers and len(value) == 2 and value[0] < value[1]):
-        raise ValueError(f"must be two rising numbers [from, to] in seconds or Hz, got {shown(value)}")
-    return tuple(map(float, value))
-
-
-def rows(value):
-    """First row, and the one after the last."""
-    if not (isinstance(value, list) and len(value) == 2 and all(type(v) is int for v in value)):
-        raise ValueError(f"must be two whole numbers [from, to], got {shown(value)}")
-    if not 0 <= value[0] < value[1] - 1:
-        raise ValueError(f"must hold two rows or more from 0 on, got {shown(value)}")
+def rising(value):
+    """Two numbers of which the second one is larger; the words of the key say so."""
+    assert value[0] < value[1]
     return tuple(value)
 
 
-Rows = Annotated[Any, PlainValidator(rows)]
-Window = Annotated[Any, PlainValidator(window)]
-WindowOrFalse = Annotated[Any, PlainValidator(lambda value: value if value is False else window(value))]
+def two_or_more(value):
+    """First row, and the one after the last, of two rows at least; the words of the key say so."""
+    assert 0 <= value[0] < value[1] - 1
+    return tuple(value)
+
+
+Rows = Annotated[list[int], Field(min_length=2, max_length=2), AfterValidator(two_or_more)]
+Window = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(rising)]
 Names = Annotated[list[str], Field(min_length=1)]
 
 
@@ -114,7 +107,7 @@ class Data(ChannelFormat):
     interpolation: Interpolation = key(
         '"band-limited" or "linear", of the base between its samples', INTERPOLATIONS[0]
     )
-    rows: Rows | None = key("the first row and the one after the last, [from, to]", None)
+    rows: Rows | None = key("two rows or more from 0 on, [first, the one after the last]", None)
     gaps: Literal["refuse", "leave_out"] = key('"refuse" or "leave_out"', "refuse")
     base: str | None = key("the sensor that measured the motion of the base", None)
     sensors: Names = key("the names of the sensors on the structure, one or more")
@@ -164,7 +157,7 @@ class Detrend(Section):
     """Offset or line to subtract."""
 
     kind: Literal["constant", "linear"] = key('"constant" or "linear"', "constant")
-    window: Window | None = key("two times [from, to] in seconds", None)
+    window: Window | None = key("two rising times [from, to] in seconds", None)
 
 
 class BandPass(Section):
@@ -180,10 +173,12 @@ class Processing(Section):
 
     detrend: Detrend | None = key("a table with `kind` and `window`", None)
     band_pass: BandPass | None = key("a table with `low`, `high` and `order`", None)
-    trim: Window | None = key("two times [from, to] in seconds", None)
-    compare: Window | None = key("two times [from, to] in seconds after `trim`", None)
+    trim: Window | None = key("two rising times [from, to] in seconds", None)
+    compare: Window | None = key("two rising times [from, to] in seconds after `trim`", None)
     decimate: int = key("a positive whole number", 1, ge=1)
-    check_band: WindowOrFalse | None = key("two frequencies [from, to] in Hz, or false", None)
+    check_band: Literal[False] | Window | None = key(
+        "two rising frequencies [from, to] in Hz, or false", None
+    )
 
 
 class Likelihood(Section):
@@ -214,7 +209,7 @@ class Likelihood(Section):
             raise ValueError(f"must name each of `kinds` once, got {self.kinds}")
         for kind in self.kinds:
             for name, value in self.parameters_of(kind):
-                self.check(LIKELIHOODS[kind], name, value)
+                check_parameter(LIKELIHOODS[kind], name, value)
         for name in ("epsilon", "correlation_time", "m"):
             users = [kind for kind, entry in LIKELIHOODS.items() if name in entry.takes]
             if getattr(self, name) is not None and not set(users) & set(self.kinds):
@@ -235,30 +230,24 @@ class Likelihood(Section):
         for name, value in dict(pair for kind in self.kinds for pair in self.parameters_of(kind)).items():
             yield f"likelihood.{name}", units[name], value
 
-    @staticmethod
-    def check(entry, name, value):
-        """A parameter is there, known or inferred as the likelihood says."""
-        if value is None:
-            raise ValueError(f"must have the key `{name}` for {entry.name}, got none")
-        inferred = sorted({item.prior for item in priors_in(value)})
-        if name in entry.known and inferred:
-            raise ValueError(
-                f"must have numbers as `{name}` for {entry.name}, which takes it for known, got the prior "
-                f"{shown(inferred[0])}. {others('inferred', name)}"
-            )
-        if name in entry.inferred and not inferred:
-            raise ValueError(
-                f"must have the name of a prior as `{name}` for {entry.name}, which infers it, got "
-                f"{shown(value)}. {others('known', name)}"
-            )
 
-
-def others(how, name) -> str:
-    """Which likelihoods take a parameter of the errors for known, or infer it."""
-    names = [kind for kind, entry in LIKELIHOODS.items() if name in getattr(entry, how)]
-    if not names:
-        return "Pass a number, or a list with one for each sensor"
-    return f"{' and '.join(names)} {'infer it' if how == 'inferred' else 'take numbers'}"
+def check_parameter(entry, name, value) -> None:
+    """A parameter of the errors is there, known or inferred as the likelihood says."""
+    if value is None:
+        raise ValueError(f"must have the key `{name}` for {entry.name}, got none")
+    is_random = any(priors_in(value))
+    if name in entry.known and is_random:
+        wanted, takes, other = "numbers", "takes it for known", "inferred"
+    elif name in entry.inferred and not is_random:
+        wanted, takes, other = "the name of a prior", "infers it", "known"
+    else:
+        return
+    kinds = " and ".join(kind for kind, one in LIKELIHOODS.items() if name in getattr(one, other))
+    advice = f"{kinds} {'infer it' if other == 'inferred' else 'take numbers'}"
+    advice = advice if kinds else "Pass a number, or a list with one for each sensor"
+    got = shown(next(priors_in(value)).prior) if is_random else shown(value)
+    got = f"the prior {got}" if is_random else got
+    raise ValueError(f"must have {wanted} as `{name}` for {entry.name}, which {takes}, got {got}. {advice}")
 
 
 class Sampler(Section):
@@ -316,7 +305,7 @@ class Population(Section):
 class Hierarchical(Section):
     """Several specimens or laboratories, of which the file is one, and their population."""
 
-    members: dict[str, dict[str, Any]] = key(
+    members: dict[str, dict[str, dict[str, Any]]] = key(
         "a table of the others: of each the sections in which it differs from the file", min_length=1
     )
     population: dict[str, Population] = key("a table of parameters that vary, one or more", min_length=1)

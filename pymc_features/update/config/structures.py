@@ -11,17 +11,17 @@ from pymc_features import structures
 from pymc_features.exceptions import ConfigError
 from pymc_features.io import read_matrices
 from pymc_features.io.reading.labels import system_of_units
-from pymc_features.structures import AffineStructure, Input, Kind, Structure
-from pymc_features.structures import specimens as specimens_of
+from pymc_features.structures import AffineStructure, Input, Kind, Structure, specimens
 from pymc_features.update.config import entries
-from pymc_features.update.config.entries import GROUPS, ONE, TAPER, Matrix, Taper, evaluated, priors_in
+from pymc_features.update.config.entries import GROUPS, ONE, TAPER, Matrix, Taper, evaluated, key, priors_in
 from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import Section, parameters_of
 
 MOST_MODES = 10
-CATALOGUE = {cls.__name__: cls for cls in (*structures.STRUCTURES, *specimens_of.SPECIMENS)}
-PARTS = {cls.__name__: cls for cls in (*structures.DAMPINGS, *specimens_of.DETERIORATIONS)}
+CATALOGUE = {cls.__name__: cls for cls in (*structures.STRUCTURES, *specimens.SPECIMENS)}
+PARTS = {cls.__name__: cls for cls in (*structures.DAMPINGS, *specimens.DETERIORATIONS)}
 A_MATRIX = "a file with matrices, {file = FILE, name = NAME}, or rows of numbers"
+SYSTEM = 'a force, a length and a mass, such as "kN, m, t", in which the matrices are'
 BY_STOREY = entries.ByStorey, f"{ONE}, or a list of these, {GROUPS} or {TAPER}"
 #: Type and words of the keys of each kind; those of dampings follow below.
 TYPES: dict[Kind, tuple[Any, str]] = {
@@ -34,33 +34,28 @@ TYPES: dict[Kind, tuple[Any, str]] = {
 
 def section_of(cls) -> type[Section]:
     """The keys of a structure or a part of one: its type and its inputs, with the defaults of the class."""
-    is_part = cls in specimens_of.DETERIORATIONS  # of which a structure has one kind: its type is known
-    has_storeys = issubclass(cls, Structure) and cls.has_storeys
+    is_part = cls in specimens.DETERIORATIONS  # of which a structure has one kind: its type is known
+    is_structure = issubclass(cls, Structure)
+    has_storeys = is_structure and cls.has_storeys
     fields: dict[str, Any] = {"type": (Literal[cls.__name__], cls.__name__ if is_part else ...)}
     signature = inspect.signature(cls).parameters
     for name, given in cls.inputs.items():
         default = signature[name].default
         default = ... if given.required or default is inspect.Parameter.empty else default
         kind, words = BY_STOREY if has_storeys and given.kind is Kind.VECTOR else TYPES[given.kind]
-        fields[name] = key_of(kind, words, given, default)
+        if given.kind in (Kind.SCALAR, Kind.VECTOR):  # what may be random has its unit
+            field = key(f"{words}, in {given.unit}", default, json_schema_extra={"unit": given.unit})
+        else:
+            kind, field = kind | None if default is None else kind, key(words, default)
+        fields[name] = kind, field
     if has_storeys:
-        fields["n"] = int | None, Field(None, description="the number of storeys, positive", ge=1)
-    if issubclass(cls, Structure) and cls.is_linear:
-        words = "the number of modes kept, positive"
-        fields["n_modes"] = int | None, Field(None, description=words, ge=1)
+        fields["n"] = int | None, key("the number of storeys, positive", None, ge=1)
+    if is_structure and cls.is_linear:
+        fields["n_modes"] = int | None, key("the number of modes kept, positive", None, ge=1)
     if any(given.kind is Kind.MATRIX for given in cls.inputs.values()):
-        words = 'a force, a length and a mass, such as "kN, m, t", in which the matrices are'
-        fields["units"] = str, Field("N, m, kg", description=words)
+        fields["units"] = str, key(SYSTEM, "N, m, kg")
     summary = inspect.getdoc(cls).partition("\n")[0]
     return create_model(f"{cls.__name__}Section", __base__=Section, __doc__=summary, **fields)
-
-
-def key_of(kind, words: str, given: Input, default) -> tuple:
-    """Type and field of one key; what may be random has its unit."""
-    if given.kind in (Kind.SCALAR, Kind.VECTOR):
-        unit = {"unit": given.unit}
-        return kind, Field(default, description=f"{words}, in {given.unit}", json_schema_extra=unit)
-    return (kind | None if default is None else kind), Field(default, description=words)
 
 
 def damping_kind(value):
@@ -72,22 +67,16 @@ def damping_kind(value):
 
 DAMPINGS = {cls.__name__: section_of(cls) for cls in structures.DAMPINGS}
 A_DAMPING = f"a table with `type`, {' or '.join(DAMPINGS)}"
-TYPES[Kind.DAMPING] = (
-    Annotated[Union[tuple(DAMPINGS.values())], Field(discriminator="type")],  # noqa: UP007
-    A_DAMPING,
-)
-OR_MATRIX = [
-    *(Annotated[section, Tag(name)] for name, section in DAMPINGS.items()),
-    Annotated[entries.MatrixEntry, Tag("matrix")],
-]
+TAGGED = [Annotated[section, Tag(name)] for name, section in DAMPINGS.items()]
+TYPES[Kind.DAMPING] = Annotated[Union[*DAMPINGS.values()], Field(discriminator="type")], A_DAMPING  # noqa: UP007
 TYPES[Kind.DAMPING_OR_MATRIX] = (
-    Annotated[Union[tuple(OR_MATRIX)], Discriminator(damping_kind)],  # noqa: UP007
+    Annotated[Union[*TAGGED, Annotated[entries.MatrixEntry, Tag("matrix")]], Discriminator(damping_kind)],
     f"{A_DAMPING}, or {A_MATRIX}",
 )
 STRUCTURES = {cls.__name__: section_of(cls) for cls in structures.STRUCTURES}
-for kind, cls in zip((Kind.DEGRADATION, Kind.PINCHING), specimens_of.DETERIORATIONS, strict=True):
+for kind, cls in zip((Kind.DEGRADATION, Kind.PINCHING), specimens.DETERIORATIONS, strict=True):
     TYPES[kind] = section_of(cls), f"a table with {', '.join(f'`{name}`' for name in cls.inputs)}"
-SPECIMENS = {cls.__name__: section_of(cls) for cls in specimens_of.SPECIMENS}
+SPECIMENS = {cls.__name__: section_of(cls) for cls in specimens.SPECIMENS}
 StructureSection = Annotated[
     Union[*STRUCTURES.values(), *SPECIMENS.values()],  # noqa: UP007
     Field(discriminator="type"),
@@ -108,33 +97,29 @@ def with_damping(raw):
 class StructureOf:
     """Values of the priors, by name, to a structure: random variables in a model, numbers of one draw.
 
-    Its signature lists the names of the priors, so that `prediction.posterior_response` finds them.
-
-    Parameters
-    ----------
-    section : Section
-        [structure] of the file.
-    folder : path
-        Files of matrices are relative to it.
+    Its signature lists the names of the priors, so that `prediction.posterior_response` finds them. Files of
+    matrices that the `section` of a file names are relative to `folder`.
     """
 
     def __init__(self, section, folder):
         self.section, self.type, self.title = section, CATALOGUE[section.type], section.type
-        used = {key: list(priors_in(value)) for key, _, value in parameters_of("", section)}
-        self.names = sorted({one.prior for entries in used.values() for one in entries})
+        used = {at: list(priors_in(value)) for at, _, value in parameters_of("", section)}
+        self.names = sorted({one.prior for priors in used.values() for one in priors})
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
         self.__signature__ = inspect.Signature([inspect.Parameter(name, kind) for name in self.names])
-        self.has_modes = self.type not in specimens_of.SPECIMENS  # these have forces alone
+        self.has_modes = self.type not in specimens.SPECIMENS  # these have forces alone
         self.has_storeys = self.type.has_storeys
         self.n_modes = getattr(section, "n_modes", None)
-        storeys = spread_over_storeys(section, self.type.inputs) if self.has_storeys else {}
-        self.given = {}
-        for name in self.type.inputs:
-            value = storeys.get(name, getattr(section, name))
-            self.given[name] = in_si(loaded(value, f"structure.{name}", Path(folder)), name, section)
-        items = [v for _, v in section for v in (v if isinstance(v, list) else [v])]
+        given = {name: getattr(section, name) for name in self.type.inputs}
+        given |= spread_over_storeys(section, self.type.inputs) if self.has_storeys else {}
+        units = getattr(section, "units", None)
+        self.given = {
+            name: in_si(loaded(value, f"structure.{name}", Path(folder)), name, units)
+            for name, value in given.items()
+        }
+        items = [v for value in given.values() for v in (value if isinstance(value, list) else [value])]
         self.files = sorted({item.file for item in items if isinstance(item, Matrix)})
-        is_damping_known = not any(entries for key, entries in used.items() if "damping" in key)
+        is_damping_known = not any(priors for at, priors in used.items() if "damping" in at)
         self.is_kept, self.kept = self.type is AffineStructure and is_damping_known, None
 
     def __call__(self, **values):
@@ -165,71 +150,65 @@ def built(value, values):
     return evaluated(value, values)
 
 
-def in_si(value, name: str, section):
+def in_si(value, name: str, units: str | None):
     """Matrices, and lists of them, in kg, N/m and N s/m."""
-    if not hasattr(section, "units") or name in ("influence", "theta") or isinstance(value, Section):
+    if value is None or units is None or name in ("influence", "theta") or isinstance(value, Section):
         return value
     with named_key("structure"):
-        force, length, mass = system_of_units(section.units)
+        force, length, mass = system_of_units(units)
     factor = mass if name.startswith("mass") else force / length
-    if factor == 1.0 or value is None:
+    if factor == 1.0:
         return value
     if name.endswith("_terms"):
-        return [item if item is None else in_si(item, name.removesuffix("_terms"), section) for item in value]
+        return [in_si(item, name.removesuffix("_terms"), units) for item in value]
     return factor * (value if hasattr(value, "shape") else np.asarray(value, dtype=np.float64))
 
 
-def loaded(value, key, folder):
+def loaded(value, at, folder):
     """A value of the file with matrices read."""
-    if isinstance(value, list | tuple):
-        return [loaded(item, f"{key}[{i}]", folder) for i, item in enumerate(value)]
+    if isinstance(value, list):
+        return [loaded(item, f"{at}[{i}]", folder) for i, item in enumerate(value)]
     if not isinstance(value, Matrix):
         return value
-    with named_key(key, path="file"):
+    with named_key(at, path="file"):
         found = read_matrices(folder / value.file)
-    if value.name is None and len(found) == 1:
-        return next(iter(found.values()))
-    if value.name not in found:
+    name = next(iter(found)) if value.name is None and len(found) == 1 else value.name
+    if name not in found:
         raise ConfigError(
-            f"`{key}.name` must be one of the matrices {', '.join(sorted(found))} of {value.file}, got "
-            f"{value.name!r}."
+            f"`{at}.name` must be one of the matrices {', '.join(sorted(found))} of {value.file}, got "
+            f"{name!r}."
         )
-    return found[value.name]
+    return found[name]
 
 
 def spread_over_storeys(section, inputs: dict[str, Input]) -> dict:
     """Values of a section that are one for each storey, or one for all, by name."""
     given = {name: getattr(section, name) for name, of in inputs.items() if of.kind is Kind.VECTOR}
-    lengths = {name: length for name, value in given.items() if (length := length_of(value)) is not None}
-    n = section.n if section.n is not None else next(iter(lengths.values()), None)
-    for name, length in lengths.items():
+    sized = {name: value.times if isinstance(value, Taper) else value for name, value in given.items()}
+    lengths = {name: len(value) for name, value in sized.items() if isinstance(value, list)}
+    n = section.n or next(iter(lengths.values()), None)
+    found = {}
+    for name, value in given.items():
+        length = lengths.get(name, n)
         if section.n is not None and length != n:
             raise ConfigError(
                 f"`structure.{name}` must have one value or one for each of the n = {n} storeys, got "
                 f"{length}. Groups add up to n."
             )
-    return {name: spread(name, value, n, section.n is not None) for name, value in given.items()}
-
-
-def length_of(value) -> int | None:
-    """How many storeys a value is for, None if it can be any number."""
-    value = value.times if isinstance(value, Taper) else value
-    return len(value) if isinstance(value, list | tuple) else None
-
-
-def spread(name, value, n, every):
-    """A taper over n storeys; one value n times if `every` is to have its own; anything else as it is."""
-    if not isinstance(value, Taper):
-        return [value] * n if every and not isinstance(value, list) else value
-    if n is None:
-        raise ConfigError(
-            f"`structure.{name}` must have a number of storeys to taper over, got neither `n` nor a list of "
-            "values. Add n = 42 to [structure]."
-        )
-    if n < 2 or length_of(value) not in (None, n):
-        what = f"{n} storey" if n < 2 else f"{length_of(value)} values of `times` for {n} storeys"
-        raise ConfigError(
-            f"`structure.{name}` must taper over two storeys or more, with one value of `times` for each or "
-            f"for all, got {what}."
-        )
-    return value.model_copy(update={"n": n})
+        found[name] = value
+        if isinstance(value, Taper):
+            if n is None:
+                raise ConfigError(
+                    f"`structure.{name}` must have a number of storeys to taper over, got neither `n` nor a "
+                    "list of values. Add n = 42 to [structure]."
+                )
+            if n < 2 or length != n:
+                what = f"{n} storey" if n < 2 else f"{length} values of `times` for {n} storeys"
+                raise ConfigError(
+                    f"`structure.{name}` must taper over two storeys or more, with one value of `times` for "
+                    f"each or for all, got {what}."
+                )
+            found[name] = value.model_copy(update={"n": n})
+        elif section.n is not None and not isinstance(value, list):
+            found[name] = [value] * n
+    return found

@@ -10,7 +10,7 @@ import pymc as pm
 import pytensor
 import pytensor.tensor as pt
 import xarray as xr
-from pydantic import PlainValidator, model_validator
+from pydantic import Field, model_validator
 
 from pymc_features import plots
 from pymc_features.ambient import AmbientResponse, identify_modes, propose_bands, spectral_response
@@ -22,7 +22,7 @@ from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.structures import Structure
 from pymc_features.update.config.entries import Vector, evaluated
 from pymc_features.update.config.keys import named_key
-from pymc_features.update.config.sections import Section, key, window
+from pymc_features.update.config.sections import Section, Window, key
 from pymc_features.update.kinds import base, modal
 from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict
 from pymc_features.update.kinds.channels import checked_dofs, read_whole
@@ -57,19 +57,12 @@ LEFT_OUT = {  # keys that mean nothing here, and why
 }
 
 
-def pairs(value):
-    """Pairs of frequencies [Hz], or what finds them."""
-    if value == "auto":
-        return value
-    if not isinstance(value, list) or not value:
-        raise ValueError('must be "auto" or a list of pairs [from, to] in Hz')
-    return [window(item) for item in value]
-
-
 class AmbientSection(Section):
     """Spectral densities of forces and errors, and the frequencies that are compared."""
 
-    bands: Annotated[Any, PlainValidator(pairs)] = key('"auto" or a list of pairs [from, to] in Hz', "auto")
+    bands: Literal["auto"] | Annotated[list[Window], Field(min_length=1)] = key(
+        '"auto" or a list of rising pairs [from, to] in Hz', "auto"
+    )
     force: Vector = key(DENSITY.format("N^2/Hz"))
     error: Vector = key(DENSITY.format("(m/s^2)^2/Hz"))
     forces: Literal["dofs", "modes"] = key('"dofs" or "modes", where they act', "dofs")

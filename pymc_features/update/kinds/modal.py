@@ -36,10 +36,16 @@ MODAL = Likelihood(
     takes=(),
 )
 SCALE = "the name of a prior or a number, one or one for each mode"
+ALONE_WITHOUT = {  # keys that mean nothing where only modes are compared, and why
+    "record processing likelihood": "Identified modes need none.",
+    "report.natural_frequencies report.quantities": "The report has the frequencies of [modal], and no "
+    "responses.",
+}
 WITHOUT_SHAPES = {"shapes": None, "channels": (), "shape_sd": None}
 SPARE = 3  # modes beyond those identified, among which the likelihood may choose
 BEYOND = 1.2  # of the highest identified frequency: modes above it are not in tables
 MATCHED_DRAWS = 500
+HERTZ = Scale(1.0, "Hz")
 MOST = 0.5  # share of the draws without a partner that is said
 WIDTH = 3.29  # standard deviations between 5 and 95 % of a normal distribution
 APART = 5.0  # standard deviations between an identified frequency and that of the model
@@ -106,8 +112,8 @@ class ModeRow(NamedTuple):
     """One identified mode and its partners in the draws."""
 
     name: str  # its number in the file, and its label
-    measured: float  # [Hz]
-    low: float  # of the model [Hz]: 5, 50 and 95 %
+    measured: float  # [Hz], and 5, 50 and 95 % of the model [Hz]
+    low: float
     middle: float
     high: float
     mac: tuple[float, float, float]  # 5, 50 and 95 %; NaN without a shape
@@ -132,12 +138,11 @@ class ModeRow(NamedTuple):
     @property
     def cells(self) -> tuple[str, ...]:
         """Texts of the row, in the order of `COLUMNS`."""
-        values, sd = (self.low, self.middle, self.high), (self.high - self.low) / WIDTH
         low, middle, high = self.mac
         of_shape = ("", "") if np.isnan(middle) else (f"{middle:.3f}", f"{low:.3f}-{high:.3f}")
-        partner = f"f{self.partner}" if self.has_partner else "none"
-        numbers = f"{self.measured:.4g}", *fixed(values, sd, Scale(1.0, "Hz")), f"{100.0 * self.off:+.2f} %"
-        return self.name, *numbers, *of_shape, partner
+        quantiles = fixed((self.low, self.middle, self.high), (self.high - self.low) / WIDTH, HERTZ)
+        numbers = f"{self.measured:.4g}", *quantiles, f"{100.0 * self.off:+.2f} %"
+        return self.name, *numbers, *of_shape, f"f{self.partner}" if self.has_partner else "none"
 
 
 @dataclass(frozen=True)
@@ -161,11 +166,8 @@ class Modal(KindOfData):
     @classmethod
     def check_sections(cls, config):
         if config.data is None:
-            refuse(
-                config, "record processing likelihood", "without [data], got it. Identified modes need none."
-            )
-            words = "without [data], got it. The report has the frequencies of [modal], and no responses."
-            refuse(config, "report.natural_frequencies report.quantities", words)
+            for keys, words in ALONE_WITHOUT.items():
+                refuse(config, keys, f"without [data], got it. {words}")
         elif config.likelihood is not None and "ABC" in config.likelihood.kinds:
             raise ConfigError(
                 "`likelihood.kinds` must not have ABC with [modal], for a tolerance on responses says "
@@ -222,21 +224,19 @@ class Modal(KindOfData):
     @property
     def names(self) -> list[str]:
         """What each is called in tables: its number, and its label if it has one."""
-        if self.labels == self.numbers:
-            return [str(number) for number in self.numbers]
-        return [f"{number} ({label})" for number, label in zip(self.numbers, self.labels, strict=True)]
+        pairs = zip(self.numbers, self.labels, strict=True)
+        are_same = self.labels == self.numbers
+        return [str(number) if are_same else f"{number} ({label})" for number, label in pairs]
 
     @property
     def used(self):
-        n = len(self.data)
-        return f"{n} identified mode{'s' if n > 1 else ''}"
+        return f"{len(self.data)} identified mode{'s' if len(self.data) > 1 else ''}"
 
     @property
     def sentence(self) -> str:
         """What they are, and where they come from."""
-        n, s = len(self.data), len(self.dofs)
-        at = f" at {s} channels" if s else " without shapes"
-        return f"{n} mode{'s' if n > 1 else ''}{at} from {self.source}"
+        at = f" at {len(self.dofs)} channels" if self.dofs else " without shapes"
+        return f"{self.used.replace('identified ', '')}{at} from {self.source}"
 
     @property
     def band(self):
@@ -257,7 +257,7 @@ class Modal(KindOfData):
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         """Add the modes; where residuals of responses decide the width, as a factor of the prior."""
-        asked, labels = self.asked, [str(label) for label in self.labels]
+        density, labels = self.asked.density, [str(label) for label in self.labels]
         with named_key("modal", n_modes="modal.n_modes"):
             found = modes(structure, self.n_modes, sensors=self.dofs or None)
             sigma_f, sigma_phi = (
@@ -266,11 +266,11 @@ class Modal(KindOfData):
             )
             if likelihood in LIKELIHOODS and LIKELIHOODS[likelihood].calibrates:
                 data = identified(self.data, labels)
-                terms = checked_parameters(found, data, sigma_f, sigma_phi, asked.density)
+                terms = checked_parameters(found, data, sigma_f, sigma_phi, density)
                 pm.Potential("modal", pm.logp(ModalFeature.dist(*terms), data.values).sum())
-                return
-            scales = {"sigma_f": sigma_f, "sigma_phi": sigma_phi, "density": asked.density}
-            ModalFeature("modal", found, observed=self.data, labels=labels, **scales)
+            else:
+                scales = {"sigma_f": sigma_f, "sigma_phi": sigma_phi, "density": density}
+                ModalFeature("modal", found, observed=self.data, labels=labels, **scales)
 
     def predict(self, problem, likelihood, model, idata):
         return {"matched": self.matched(problem, idata["posterior"].to_dataset())}
@@ -293,16 +293,13 @@ class Modal(KindOfData):
     def rows(self, matched) -> list[ModeRow]:
         """Every identified mode under one likelihood, from the group `matched`."""
         found = []
-        for k, name in enumerate(self.names):
+        for k, (name, measured) in enumerate(zip(self.names, self.data.frequencies.tolist(), strict=True)):
             one = matched.isel(identified=k)
             values, counts = np.unique(one["model_mode"].values, return_counts=True)
-            frequency, mac = (
-                np.quantile(one[key].values, QUANTILES).tolist() for key in ("frequency", "mac")
-            )
+            frequency, mac = (np.quantile(one[key].values, QUANTILES) for key in ("frequency", "mac"))
             most, share = 1 + int(values[counts.argmax()]), float(counts.max() / counts.sum())
-            strangers = 1.0 - float(one["has_partner"].mean())
-            measured = float(self.data.frequencies[k])
-            found.append(ModeRow(name, measured, *frequency, tuple(mac), most, share, strangers))
+            strangers, mac = 1.0 - float(one["has_partner"].mean()), tuple(mac.tolist())
+            found.append(ModeRow(name, measured, *frequency.tolist(), mac, most, share, strangers))
         return found
 
     def shared(self, problem):
@@ -344,24 +341,22 @@ class Modal(KindOfData):
 
     def tables(self, problem, result):
         """Frequencies with standard deviations, damping, the places of channels; and those of the model."""
-        data, n = self.data, len(self.data)
+        data = self.data
         columns = [self.names, [f"{f:.4g}" for f in data.frequencies]]
         for values, factor in ((data.frequency_sd, 1.0), (data.damping_ratios, 100.0)):
-            numbers = np.full(n, np.nan) if values is None else factor * values
+            numbers = np.full(len(data), np.nan) if values is None else factor * values
             columns.append(["" if np.isnan(value) else f"{value:.2g}" for value in numbers])
-        at = ", ".join(f"{name} ({dof})" for name, dof in self.placed.items())
-        told = [
-            f"There are {self.sentence}.",
-            f"The channels and their degrees of freedom are {at}." if at else "",
-            f"Each is matched with one of the {self.n_modes} lowest modes of the structure.",
-        ]
+        note = f"There are {self.sentence}. "
+        if self.placed:
+            at = ", ".join(f"{name} ({dof})" for name, dof in self.placed.items())
+            note += f"The channels and their degrees of freedom are {at}. "
+        note += f"Each is matched with one of the {self.n_modes} lowest modes of the structure."
         if self.dofs and not self.is_drawn(problem) and self.is_fitted:
-            told.append("Name a file with its nodes as `modal.nodes` to see the shapes drawn.")
-        rows, note = list(zip(*columns, strict=True)), " ".join(filter(None, told))
+            note += " Name a file with its nodes as `modal.nodes` to see the shapes drawn."
         kinds = {kind: self.rows(result[f"{kind}/matched"]) for kind in kinds_of(result)}
         cells = [(kind, *row.cells) for kind, of_kind in kinds.items() for row in of_kind]
         return [
-            table("identified", "data", "Identified modes", IDENTIFIED, rows, note),
+            table("identified", "data", "Identified modes", IDENTIFIED, zip(*columns, strict=True), note),
             table("modes", "modes", "Identified modes [Hz]", ("likelihood", *COLUMNS), cells, MEANING),
         ]
 

@@ -52,8 +52,7 @@ class Compared(NamedTuple):
 def of_data(channels, step, prior: PriorModes, dofs, quantity, *, duration, pass_band) -> Compared:
     """Compare channels (sensor, time) as they were measured, the base first, with what the priors expect.
 
-    The sensors measure a `quantity` at the degrees of freedom `dofs` every `step` [s]; `duration` is that of
-    the part that is compared [s], and `pass_band` are the frequencies [Hz] that filters leave.
+    `duration` is that of the part that is compared [s]; filters leave the frequencies `pass_band` [Hz].
     """
     spectra, few = spectra_of(channels, step), prior.few(transfer.MOST_DRAWS)
     found, scale, placed, first = resonances(spectra), None, None, None
@@ -121,23 +120,19 @@ def of_priors(prior: PriorModes, units: Mapping[str, str]) -> list[str]:
 
 
 def mode_rows(compared: Compared) -> list[tuple[str, ...]]:
-    """Modes that the priors expect beside those of the data, and what the data show besides.
-
-    Name; frequency [Hz] of the priors, 5 to 95 %, and of the data; damping [%] of both; and which sensors
-    show it. Empty where there is none.
-    """
+    """Modes that the priors expect beside those of the data: frequencies, damping, which sensors show it."""
 
     def to_from(low, high, digits=3):
         low, high = f"{low:.{digits}g}", f"{high:.{digits}g}"
         return low if low == high else f"{low} to {high}"
 
-    prior, peaks, rows = compared.prior, compared.peaks, []
-    for k in range(min(prior.frequencies.shape[1], max(NEXT, 1 + max(peaks, default=0)))):
-        of_damping = to_from(*(100.0 * np.quantile(prior.ratios[:, k], [0.05, 0.95])))
-        rows.append((peaks.get(k), f"f{k + 1}", to_from(*prior.range_of(k)), of_damping))
-    found = []
-    for peak, name, of_f, of_damping in rows + [(peak, "", "", "") for peak in compared.others]:
-        data, damping, sensors = "", "", ""
+    prior, peaks, found = compared.prior, compared.peaks, []
+    n_modes = min(prior.frequencies.shape[1], max(NEXT, 1 + max(peaks, default=0)))
+    for k, peak in [*((k, peaks.get(k)) for k in range(n_modes)), *((None, one) for one in compared.others)]:
+        name, of_f, of_damping, data, damping, sensors = [""] * 6
+        if k is not None:
+            name, of_f = f"f{k + 1}", to_from(*prior.range_of(k))
+            of_damping = to_from(*(100.0 * np.quantile(prior.ratios[:, k], [0.05, 0.95])))
         if peak is not None:
             data, sensors = f"{peak.frequency:.4g}", ", ".join(peak.sensors)
             damping = to_from(100.0 * peak.damping[0], 100.0 * peak.damping[-1], 2)
@@ -210,11 +205,7 @@ def contradiction(prior, peaks, step) -> str:
 
 
 def too_little(duration, step, first, frequencies, n_sensors, pass_band):
-    """Yield what a record cannot tell: it is too short, sampled too rarely, or filters leave no mode.
-
-    `first` is the first natural frequency of the data [Hz], None if they show none; `frequencies` are those
-    that are expected.
-    """
+    """Yield what a record cannot tell: it is too short, sampled too rarely, or filters leave no mode."""
     lowest, source = (first, "data") if first else (frequencies[0], "priors")
     if duration * lowest < PERIODS:
         yield (

@@ -57,11 +57,7 @@ class PriorModes(NamedTuple):
 def prior_modes(
     structure: Callable, draws: Mapping[str, Callable], at_medians, modes_of: Callable
 ) -> PriorModes:
-    """Modes of structures whose parameters are drawn from their priors; impossible ones are left out.
-
-    `structure` makes one of values by name, `at_medians` is the one at the medians of the priors, `modes_of`
-    has the `Modes` of a structure; `draws` are names to functions (n, seed) that return n draws.
-    """
+    """Modes of structures whose parameters are drawn, by functions of n and seed, but of impossible ones."""
     n = DRAWS if at_medians.n_dof <= LARGE else DRAWS_OF_LARGE
     columns = {name: draw(n, k) for k, (name, draw) in enumerate(draws.items())}
     found, kept = [], []

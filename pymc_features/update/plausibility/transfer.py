@@ -63,10 +63,9 @@ def transfer(f, prior, dofs, quantity, limits=(0.0, np.inf)) -> np.ndarray:
 
 
 def log_spectra(spectra) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-    """Spectra summed over even steps of the logarithm of frequency.
+    """Spectra summed over even steps of the logarithm of frequency, and which step is the first one.
 
-    That is the number of the first step from 1 Hz on, power of the base (k,), cross-spectra of the sensors
-    with it (s, k), and their whole power (s,).
+    Then power of the base (k,), cross-spectra of the sensors with it (s, k), and their whole power (s,).
     """
     x, y = spectra.base[1:], spectra.sensors[:, 1:]
     place = np.rint(np.log(spectra.frequency[1:]) / SPACING).astype(int)
@@ -163,16 +162,12 @@ def lags_confirmed(spectra, prior, dofs, quantity, *, factor, delays) -> bool:
 
 
 def told_by_modes(gains, placed: Placement | None) -> str:
-    """What modes show of swapped or inverted sensors where gains (sensor) against the base do not.
-
-    It is written into `scale` and the attribute `order` of the gains; empty if there is nothing to tell.
-    """
+    """What modes show of swapped or inverted sensors where gains do not, in words and within the gains."""
     if placed is None or gains.attrs.get("order") or (gains["scale"].values != 1.0).any():
         return ""
     names = gains["sensor"].values.astype(str).tolist()
-    share, swapped_share = (
-        max(0.0, 100.0 * (1.0 - left)) for left in (placed.unexplained, placed.unexplained_swapped)
-    )
+    left = placed.unexplained, placed.unexplained_swapped
+    share, swapped_share = (max(0.0, 100.0 * (1.0 - one)) for one in left)
     if placed.swapped is not None:
         i, j = (sensor + 1 for sensor in placed.swapped)
         names[i], names[j] = names[j], names[i]
