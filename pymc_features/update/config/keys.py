@@ -30,15 +30,7 @@ ARGUMENTS = {
 
 
 def parsed(path) -> dict:
-    """The tables of a configuration file, in which every key is known.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ConfigError
-        If it is not TOML, or keys are unknown: all of them, each with the nearest known one.
-    """
+    """The tables of a configuration file, in which every key is known, or an error that names all others."""
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(

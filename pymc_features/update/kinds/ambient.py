@@ -187,17 +187,11 @@ class Ambient(KindOfData):
         asked = self.config.ambient
         pm.modelcontext(None).add_coords({dim: self.channels[dim].values for dim in DIMS})
         force, error = (pt.as_tensor_variable(evaluated(v, values)) for v in (asked.force, asked.error))
+        settings = {"forces": asked.forces, "sensors": self.dofs, "n_modes": problem.structure.n_modes}
+        measured = {"bands": self.bands, "dt": self.step, "observed": self.channels.values}
         with named_key("ambient", excitation="ambient.force", error="ambient.error"):
-            settings = {"forces": asked.forces, "sensors": self.dofs, "n_modes": problem.structure.n_modes}
-            AmbientResponse(
-                "y",
-                spectral_response(structure, force, **settings),
-                error=error,
-                bands=self.bands,
-                dt=self.step,
-                observed=self.channels.values,
-                dims=DIMS,
-            )
+            spectra = spectral_response(structure, force, **settings)
+            AmbientResponse("y", spectra, error=error, dims=DIMS, **measured)
 
     def predict(self, problem, likelihood, model, idata):
         return {"spectra": fitted_spectra(self, model, idata["posterior"].to_dataset())}
@@ -206,11 +200,8 @@ class Ambient(KindOfData):
         """Averages of the spectra of the channels over twenty parts: singular values."""
         spectra = averaged_spectra(self.channels.values, self.step)
         values = (("value", "frequency"), spectra.singular_values[1:].T, {"units": "(m/s^2)^2/Hz"})
-        found = xr.Dataset(
-            {"singular_value": values, "band": (("band", "end"), np.asarray(self.bands))},
-            {"frequency": spectra.frequencies[1:]},
-        )
-        return {"singular_values": found}
+        parts = {"singular_value": values, "band": (("band", "end"), np.asarray(self.bands))}
+        return {"singular_values": xr.Dataset(parts, {"frequency": spectra.frequencies[1:]})}
 
     def draw(self, fitted=None):
         """Figure of the singular values, perhaps with those of the fitted model."""
@@ -271,17 +262,12 @@ def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
         solved = np.linalg.solve(whole, of_channels[..., None])[..., 0]
         ratios += (of_channels.conj() * solved).sum(axis=1).real / of_channels.shape[1]
     low, high, ratio, sd = by_parts(bands, ratios / len(values), of_channels.shape[1])
-    found = np.quantile(values, QUANTILES, axis=0)
-    return xr.Dataset(
-        {
-            "response": (("quantile", "frequency", "value"), found, {"units": "(m/s^2)^2/Hz"}),
-            "ratio": ("part", ratio),
-            "sd": ("part", sd),
-            "low": ("part", low, {"units": "Hz"}),
-            "high": ("part", high, {"units": "Hz"}),
-        },
-        {"quantile": list(QUANTILES), "frequency": f[inside], "value": 1 + np.arange(found.shape[-1])},
-    ).transpose("quantile", "value", "frequency", "part")
+    found = np.quantile(values, QUANTILES, axis=0).swapaxes(1, 2)
+    parts = {"response": (("quantile", "value", "frequency"), found, {"units": "(m/s^2)^2/Hz"})}
+    parts |= {"ratio": ("part", ratio), "sd": ("part", sd)}
+    parts |= {"low": ("part", low, {"units": "Hz"}), "high": ("part", high, {"units": "Hz"})}
+    coords = {"quantile": list(QUANTILES), "frequency": f[inside], "value": 1 + np.arange(found.shape[1])}
+    return xr.Dataset(parts, coords)
 
 
 def parts_of_draws(model, posterior: xr.Dataset):

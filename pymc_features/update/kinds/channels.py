@@ -1,5 +1,6 @@
 """From files to measured channels, processed alike, and checked against the base and the priors."""
 
+import contextlib
 import json
 import re
 import warnings
@@ -95,15 +96,12 @@ def read_all(data, folder) -> tuple[xr.DataArray, str]:
     try:
         return read_channels(paths, **settings), source
     except ValueError as error:
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                has_gaps_alone = read_channels_with_gaps(paths, **settings).isnull().any()
-        except (ValueError, TypeError, OSError):
-            raise error from None
-        if not has_gaps_alone:
-            raise
-        raise ValueError(f'{error} Or leave out what is missing by gaps = "leave_out".') from error
+        advice = ""
+        with contextlib.suppress(ValueError, TypeError, OSError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if read_channels_with_gaps(paths, **settings).isnull().any():  # which are all that is wrong
+                advice = ' Or leave out what is missing by gaps = "leave_out".'
+        raise ValueError(f"{error}{advice}") from error
 
 
 def with_motion(channels, section, folder) -> xr.DataArray:
@@ -224,33 +222,30 @@ def gains_of(channels, band, compared, dofs, quantity) -> xr.Dataset:
                 gains = signals.check_channels(channels, band=band, damping_ratio=EXPLAINS_ANY)
     for warning in sorted(caught, key=lambda warning: LAGS in str(warning.message)):  # the least of faults
         warnings.warn(warning.message, warning.category, stacklevel=2)
-    for name, lag, coherence in zip(
-        *(gains[key].values for key in ("sensor", "lag", "coherence")), strict=True
-    ):
-        if coherence >= COHERENT and abs(lag) >= OFFSET:
-            raise ConfigError(
-                f"`data.files` must have one clock, got {name} {abs(lag):.4g} s "
-                f"{'after' if lag > 0 else 'before'} the base. Cut the files to the same time, or set "
-                f"`data.delay = {inline({str(name): lag})}`."
-            )
+    far = (gains["coherence"].values >= COHERENT) & (np.abs(gains["lag"].values) >= OFFSET)
+    for name, lag in zip(gains["sensor"].values[far], gains["lag"].values[far], strict=True):
+        raise ConfigError(
+            f"`data.files` must have one clock, got {name} {abs(lag):.4g} s "
+            f"{'after' if lag > 0 else 'before'} the base. Cut the files to the same time, or set "
+            f"`data.delay = {inline({str(name): lag})}`."
+        )
     return gains
 
 
 def corrections(gains, data) -> list[str]:
     """Lines of [data] that put right what was found, with what is corrected already."""
     lines, names = [], gains["sensor"].values.astype(str).tolist()
-    found = gains["scale"].values
+    found, late = gains["scale"].values, gains["delay"].values
     if (found != 1.0).any():
         given = data.scale if isinstance(data.scale, dict) else dict.fromkeys(names, data.scale or 1.0)
         if (found[1:] == -1.0).all():
             found = np.where(np.arange(len(names)) == 0, -1.0, 1.0)
         scale = {name: given.get(name, 1.0) * float(f) for name, f in zip(names, found, strict=True)}
         lines.append(f"scale = {inline({name: f for name, f in scale.items() if f != 1.0})}")
-    if gains["delay"].values.any():
-        late = dict(data.delay or {})
-        for name, more in zip(names, gains["delay"].values, strict=True):
-            late[name] = late.get(name, 0.0) + float(more)
-        lines.append(f"delay = {inline({name: t for name, t in late.items() if t})}")
+    if late.any():
+        given = data.delay or {}
+        delay = given | {name: given.get(name, 0.0) + float(t) for name, t in zip(names, late, strict=True)}
+        lines.append(f"delay = {inline({name: t for name, t in delay.items() if t})}")
     if order := gains.attrs.get("order"):
         lines.append(f"sensors = {json.dumps([name for name in order if name in data.sensors])}")
     return lines
@@ -258,9 +253,10 @@ def corrections(gains, data) -> list[str]:
 
 def inline(values) -> str:
     """An inline table of the file, keys quoted where they must be."""
-    keys = [key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key) for key in values]
-    pairs = zip(keys, values.values(), strict=True)
-    entries = [f"{key} = {float(f'{value:.6g}')}" for key, value in pairs]
+    entries = []
+    for key, value in values.items():
+        name = key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key)
+        entries.append(f"{name} = {float(f'{value:.6g}')}")
     return f"{{ {', '.join(entries)} }}" if entries else "{}"  # which cancels what is there
 
 
@@ -275,13 +271,12 @@ def warn_of_motion(channels, start, first_frequency) -> None:
     floors = np.nan_to_num(floors)  # in gaps nothing is seen to move
     power = np.cumsum(np.pad(floors**2, ((0, 0), (1, 0))), axis=1)
     moving = np.sqrt((power[:, period:] - power[:, :-period]).clip(min=0.0) / period)  # from each sample on
-    before = moving[:, max(0, first - period)]
-    everywhere = np.sqrt((floors**2).mean(axis=1))
+    before, everywhere = moving[:, max(0, first - period)], np.sqrt((floors**2).mean(axis=1))
     in_motion = (before > MOVING * everywhere) & (before > QUIET * moving.min(axis=1))
     if in_motion.any():
-        names = channels["sensor"].values[1:][in_motion].astype(str)
+        names = ", ".join(channels["sensor"].values[1:][in_motion].astype(str))
         warnings.warn(
-            f"`processing.trim` cuts into the motion of {', '.join(names)} at {start:g} s, but the model "
+            f"`processing.trim` cuts into the motion of {names} at {start:g} s, but the model "
             "starts at rest there. Begin where the structure is at rest, and choose by `processing.compare` "
             "what is compared.",
             ChannelWarning,

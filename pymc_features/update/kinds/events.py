@@ -113,10 +113,7 @@ class Events(Responses):
 
     @classmethod
     def read(cls, problem):
-        """Read, correct, check and process the channels of every event, all in the same way.
-
-        An event is a file with all channels, or a folder in which `data.files` and `record.path` are.
-        """
+        """Events are files with all channels, or folders in which `data.files` and `record.path` are."""
         config, events = problem.config, {}
         dofs = checked_dofs(config, problem.expected.n_dof)
         for name, path in places(config.events, problem.folder).items():
@@ -177,15 +174,12 @@ class Events(Responses):
         asked = self.config.events
         models = [declare(self.at(problem, event), likelihood) for event in self.events.values()]
         free = {rv.name for rv in models[0].free_RVs}
-        states = states_in_sequence(
-            models,
-            out=None if running.out is None else Path(running.out) / FOLDER / likelihood,
-            random_seed=seed,
-            drift={name: value for name, value in asked.drift.items() if name in free},
-            forgetting=asked.forgetting,
-            change=asked.change,
-            **running.of_sampler(self.config.sampler),
+        settings = running.of_sampler(self.config.sampler) | asked.model_dump(
+            include={"forgetting", "change"}
         )
+        settings["drift"] = {name: value for name, value in asked.drift.items() if name in free}
+        out = None if running.out is None else Path(running.out) / FOLDER / likelihood
+        states = states_in_sequence(models, out=out, random_seed=seed, **settings)
         try:
             for name in self.events:
                 running.progress(f"{likelihood}, {name}")

@@ -117,30 +117,18 @@ class External(Histories):
         """The channels, and the program with the shape that they need."""
         config, asked = problem.config, problem.config.external
         channels, step, source = read_whole(config, problem.folder)
-        shape = channels.shape
         channels = channels.drop_vars("units", errors="ignore")
         channels = channels.assign_attrs(units=SI[MEASURED[config.data.quantity]])
         compared, first = part_compared(channels, config.processing)
         with named_key("external", command="program", inputs="template", result="output"):
-            program = ProgramSimulator(
-                asked.program,
-                list(asked.units),
-                {name: problem.folder / file for name, file in asked.template.items()},
-                asked.output,
-                columns=asked.columns,
-                transpose=asked.transpose,
-                files=[problem.folder / file for file in asked.files],
-            )
-            simulator = ExternalSimulator(
-                program,
-                shape=shape,
-                dt=step,
-                timeout=asked.timeout,
-                retries=asked.retries,
-                cache=problem.folder / asked.cache,
-                executor=config.sampler.cores,
-                progress=False,
-            )
+            templates = {name: problem.folder / file for name, file in asked.template.items()}
+            settings = asked.model_dump(include={"columns", "transpose"})
+            settings["files"] = [problem.folder / file for file in asked.files]
+            names = list(asked.units)
+            program = ProgramSimulator(asked.program, names, templates, asked.output, **settings)
+            settings = asked.model_dump(include={"timeout", "retries"})
+            settings |= {"cache": problem.folder / asked.cache, "executor": config.sampler.cores}
+            simulator = ExternalSimulator(program, shape=channels.shape, dt=step, progress=False, **settings)
         found = cls(config, None, compared, step, source, list(range(len(compared))), first, simulator)
         return found.check_likelihood(problem)
 
@@ -164,15 +152,9 @@ class External(Histories):
         sampler, runs = self.config.sampler, self.config.external.emulate
         if runs is None:
             return None
+        settings = {"draws": sampler.draws, "chains": sampler.chains, "progressbar": running.progressbar}
         with named_key("external.emulate", runs="external.emulate"):
-            return emulate(
-                runs,
-                model=model,
-                draws=sampler.draws,
-                chains=sampler.chains,
-                random_seed=seed,
-                progressbar=running.progressbar,
-            )
+            return emulate(runs, model=model, random_seed=seed, **settings)
 
     @contextmanager
     def responses(self, problem, model, idata):

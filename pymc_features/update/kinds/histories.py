@@ -138,15 +138,16 @@ class Histories(KindOfData):
         """What likelihoods that count sensors cannot tell, perhaps of several records."""
         n_unknown, m = len(problem.structure.names), self.config.likelihood.m
         advice = "" if several else " CAL counts what the residuals support."
-        found = []
-        for kind in self.likelihoods:
-            claimed = [LIKELIHOODS[kind].claimed(one.samples, m) for one in several or [self]]
-            if None not in claimed and sum(claimed) < 2 * n_unknown:
-                found.append(
-                    f"{kind} counts {sum(claimed):.0f} observations for {n_unknown} unknown parameters of "
-                    f"the structure: expect a posterior that is not much narrower than the prior.{advice}"
-                )
-        return found
+        counts = {
+            kind: [LIKELIHOODS[kind].claimed(one.samples, m) for one in several or [self]]
+            for kind in self.likelihoods
+        }
+        return [
+            f"{kind} counts {sum(each):.0f} observations for {n_unknown} unknown parameters of the structure"
+            f": expect a posterior that is not much narrower than the prior.{advice}"
+            for kind, each in counts.items()
+            if None not in each and sum(each) < 2 * n_unknown
+        ]
 
     def tolerance(self, parts) -> float:
         """delta of ABC: as the configuration says, or Eq. (16) with the posterior of EXP."""

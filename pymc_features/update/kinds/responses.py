@@ -198,20 +198,13 @@ class Responses(Histories):
         given = problem.config.report.natural_frequencies
         if given is None and problem.modal is not None:
             given = problem.modal.data.frequencies
-        columns = {
-            "ground_acceleration": ("record_time", self.record.acceleration, {"units": "m/s^2"}),
-            "measured": self.with_units,
-            "gain": gain,
-            "peak_frequency": ("peak", peaks, {"units": "Hz"}),
-        }
+        columns = {"ground_acceleration": ("record_time", self.record.acceleration, {"units": "m/s^2"})}
+        columns |= {"measured": self.with_units, "gain": gain}
+        columns["peak_frequency"] = "peak", peaks, {"units": "Hz"}
         if given is not None:
-            columns["given_frequency"] = ("given", np.array(given, dtype=np.float64), {"units": "Hz"})
-        attrs = {
-            "record": self.record.name,
-            "source": self.source,
-            "interpolation": self.record.interpolation,
-            "refinement": self.request(problem)[0].factor,
-        }
+            columns["given_frequency"] = "given", np.array(given, dtype=np.float64), {"units": "Hz"}
+        attrs = {"record": self.record.name, "source": self.source}
+        attrs |= {"interpolation": self.record.interpolation, "refinement": self.request(problem)[0].factor}
         return {"data": xr.Dataset(columns, {"record_time": self.record.time}, attrs)}
 
     def told(self):
@@ -257,7 +250,7 @@ class Responses(Histories):
         """Whether the median response explains what was measured, and where it does not."""
         part = result[kind]
         modes = part["modal"].to_dataset().median(["chain", "draw"])
-        frequencies, ratios = (modes[name].values for name in ("natural_frequency", "damping_ratio"))
+        frequencies, ratios = modes["natural_frequency"].values, modes["damping_ratio"].values
         error, relative, structured = self.errors(part)
         sensors = part["bands"]["sensor"].values.astype(str)
         bad = (relative > UNEXPLAINED) & structured
@@ -285,7 +278,7 @@ def gains_table(gains) -> dict:
     lag = np.round(1e3 * gains["lag"], 2) + 0.0  # no -0.00
     columns = gains["sensor"], gains["gain"], lag, gains["coherence"]
     rows = [
-        (name, "-", "-", "-") if np.isnan(gain) else (name, f"{gain:.3f}", f"{lag:.2f}", f"{coherence:.3f}")
+        (name, *(("-", "-", "-") if np.isnan(gain) else (f"{gain:.3f}", f"{lag:.2f}", f"{coherence:.3f}")))
         for name, gain, lag, coherence in zip(*(column.values for column in columns), strict=True)
     ]
     return table("gains", "data", "Sensors against the base", GAINS, rows)
@@ -349,11 +342,7 @@ def residuals_of(data: Responses, error, frequencies) -> Residuals:
 
 
 def errors_of_model(found: Residuals, sensors, rough, peaks, frequencies, band):
-    """Say where errors are no noise and at which mode they ring, and which peaks the model lacks.
-
-    A peak of the measured gain is one where the model has no natural frequency, and the error follows the
-    base.
-    """
+    """Say where errors are no noise and at which mode they ring, and which peaks the model lacks."""
     if rough.any():
         near = found.near[rough].mean(axis=0)
         mode = int(near.argmax())
@@ -363,13 +352,14 @@ def errors_of_model(found: Residuals, sensors, rough, peaks, frequencies, band):
             "stiffness or damping may change during the motion, as where springs yield, or the model lacks a "
             "part."
         )
-    alone = []
-    for peak in peaks:
-        inside = np.abs(found.frequency - peak) <= 1.5 * found.frequency[1]
-        follows = (found.coherence[:, inside] > FOLLOWS) & (found.left[:, inside] > 0.5)
-        is_known = (np.abs(frequencies - peak) < BESIDE * peak).any()
-        if band[0] < peak < band[1] and not is_known and follows.any():
-            alone.append(f"{peak:.3g}")
+    follows = ((found.coherence > FOLLOWS) & (found.left > 0.5)).any(axis=0)
+    alone = [
+        f"{peak:.3g}"
+        for peak in peaks
+        if band[0] < peak < band[1]
+        and (np.abs(frequencies - peak) >= BESIDE * peak).all()
+        and follows[np.abs(found.frequency - peak) <= 1.5 * found.frequency[1]].any()
+    ]
     if alone:
         yield (
             f"The measurements have a peak at {', '.join(alone)} Hz, where the model has no natural "

@@ -68,21 +68,15 @@ def resonances(spectra: Spectra) -> list[Resonance]:
     low = max(LOWEST, FEWEST / REACH) * spectra.frequency[1]
     tried = np.exp(np.arange(np.log(low), np.log(top), SPACING))
     gains, of_sensors = scan(spectra, tried)
-    n_shown = (of_sensors > 0.0).sum(axis=0)
-    peaks = [i for i in local_maxima(gains) if gains[i] > CLEAR and n_shown[i]]
-    chosen = []
+    padded = np.pad(gains, 1, constant_values=-np.inf)
+    is_peak = (gains >= padded[:-2]) & (gains > padded[2:]) & (gains > CLEAR) & (of_sensors > 0.0).any(axis=0)
+    peaks, chosen = np.flatnonzero(is_peak), []
     for i in sorted(peaks, key=lambda i: -gains[i]):
         if all(abs(np.log(tried[i] / tried[j])) > APART for j in chosen) and len(chosen) < MOST:
             chosen.append(i)
     rough = tried[chosen]
     found = [refined(spectra, rough[n], np.delete(rough, n)) for n in range(len(rough))]
     return sorted(one for one in found if one is not None and one.gain > CLEAR and one.sensors)
-
-
-def local_maxima(values) -> np.ndarray:
-    """Indices of values that are larger than both neighbours."""
-    padded = np.pad(values, 1, constant_values=-np.inf)
-    return np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]))
 
 
 def scan(spectra, tried) -> tuple[np.ndarray, np.ndarray]:
@@ -177,9 +171,5 @@ def refined(spectra, centre, others) -> Resonance | None:
         return None
     gains, shares = each[:, i * 14 + j], 1.0 - (fitted / smooth)[:, i * 14 + j]
     shown = [s for s in np.argsort(-gains) if shares[s] > SHOWN and gains[s] > CLEAR / 3.0]
-    return Resonance(
-        float(at),
-        (float(low), float(best), float(high)),
-        tuple(spectra.names[s] for s in shown),
-        float(total.max()),
-    )
+    names = tuple(spectra.names[s] for s in shown)
+    return Resonance(float(at), (float(low), float(best), float(high)), names, float(total.max()))

@@ -16,25 +16,7 @@ from pymc_features.update.templates import TEMPLATES, numbers
 
 
 def write_page(source, out=None) -> Path:
-    """Make the page of a saved result again, without its data files and without sampling.
-
-    Parameters
-    ----------
-    source : path
-        `update.nc`, as `write_outputs` writes it.
-    out : path, optional
-        By default `report.html` beside it.
-
-    Returns
-    -------
-    Path
-        Of the page.
-
-    Raises
-    ------
-    ValueError
-        If the file is no saved update.
-    """
+    """Make the page of a saved `update.nc` again, beside it by default; its path."""
     source = Path(source)
     if not source.is_file():
         raise ValueError(f"`RESULT` must be an existing file, got {source}. Name the update.nc of an update.")
@@ -70,15 +52,9 @@ def page_of(result) -> str:
     posterior = {"columns": shown[0], "rows": shown[1:], "texts": texts}
     downloads = numbers.files_of(rows) | {"table-as-shown.csv": "\n".join(map(",".join, shown))}
     plotly = files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")
-    return TEMPLATES.get_template("report.html").render(
-        document=document,
-        tables=tables,
-        posterior=posterior,
-        payload=payload,
-        data=in_script(payload),
-        downloads=in_script(downloads),
-        plotly=plotly,
-    )
+    shown = {"document": document, "tables": tables, "posterior": posterior, "payload": payload}
+    shown |= {"data": in_script(payload), "downloads": in_script(downloads), "plotly": plotly}
+    return TEMPLATES.get_template("report.html").render(shown)
 
 
 def in_script(value) -> str:

@@ -22,6 +22,7 @@ from pymc_features.update.templates.numbers import (
 BUDGET = 950_000  # characters of all responses and their spectra
 DRAWS = 600  # in the pair plot
 GHOSTS, MOST_GHOSTS = 60_000, 24  # entries of mode shapes of draws, and draws
+QUANTILES = (0.05, 0.5, 0.95)
 GRID = 512  # bins of a density before it is smoothed
 SPECTRUM = 300  # frequencies of a spectrum that are drawn
 WIDE = 10.0  # of the 99 % quantile of a prior over its median, for a logarithmic axis
@@ -35,7 +36,7 @@ def payload_of(result) -> dict:
     kinds, scales = list(dict.fromkeys(row.kind for row in rows)), scales_of(rows)
     scales = {name: scales[name] for name in dict.fromkeys(row.name for row in rows) if name in units}
     parameters = {name: {"unit": scale.unit, "factor": scale.factor} for name, scale in scales.items()}
-    samples, shared = measured(result, [result[kind] for kind in kinds])
+    samples, factor, shared = measured(result, [result[kind] for kind in kinds])
     found = {"kinds": kinds, "parameters": parameters, "of": {}} | shared
     for kind in kinds:
         part, of_kind = result[kind], [row for row in rows if row.kind == kind]
@@ -43,14 +44,24 @@ def payload_of(result) -> dict:
         found["of"][kind] = {
             "parameters": densities(part, own, of_kind),
             "draws": draws_of(part, own),
-            **(frequency_intervals(part) if "modal" in part.children else {}),
-            "responses": responses(part, samples) if "bands" in part.children else None,
+            "responses": responses(part, samples, factor) if "bands" in part.children else None,
             "modes": modes_of(part, result, len(kinds)) if "mode_shapes" in part.children else None,
-            "singular_values": fitted_values(part) if "spectra" in part.children else None,
+            "singular_values": None,
             "events": events_of(part, own) if "sequence" in part.children else None,
             "stages": stages_of(part) if "sample_stats" in part.children else None,
             "ranks": ranks_of(part, own, of_kind) if part["posterior"].sizes["chain"] > 1 else None,
         }
+        if "modal" in part.children:
+            values = part["modal"]["natural_frequency"].values
+            quantiles = np.nanquantile(values.reshape(-1, values.shape[-1]), QUANTILES, axis=0).T
+            found["of"][kind]["frequencies"] = rounded(quantiles)
+            found["of"][kind]["frequency_texts"] = [interval_texts(row, "Hz")[1] for row in quantiles]
+        if "spectra" in part.children:  # singular values of those that the model makes: 5, 50 and 95 %
+            columns = (
+                packed(part["spectra"]["frequency"].values),
+                log_packed(part["spectra"]["response"].values),
+            )
+            found["of"][kind]["singular_values"] = dict(zip(("frequency", "values"), columns, strict=True))
     if "geometry" in result.children:
         found["geometry"] = geometry(result)
     if "data" in result.children and "gain" in result["data"]:
@@ -92,14 +103,6 @@ def draws_of(part, factors) -> dict:
     return {"names": list(factors), "values": values, "known": len(known)}
 
 
-def frequency_intervals(part) -> dict:
-    """5, 50 and 95 % of each natural frequency [Hz], as numbers and as texts."""
-    values = part["modal"]["natural_frequency"].values
-    quantiles = np.nanquantile(values.reshape(-1, values.shape[-1]), [0.05, 0.5, 0.95], axis=0).T
-    texts = [interval_texts(row, "Hz")[1] for row in quantiles]
-    return {"frequencies": rounded(quantiles), "frequency_texts": texts}
-
-
 def top_of(part) -> float:
     """Up to which frequency [Hz] spectra are drawn: a little above the tenth mode, or the last."""
     if "modal" not in part.children:
@@ -108,10 +111,10 @@ def top_of(part) -> float:
     return 1.5 * float(np.nanmax(np.nanmedian(values, axis=(0, 1))))
 
 
-def measured(result, parts) -> tuple[list, dict]:
+def measured(result, parts) -> tuple[list, float, dict]:
     """Samples of each sensor to draw, extremes of measurement and first residual; and what was measured."""
     if "bands" not in parts[0].children:
-        return [], {}
+        return [], 1.0, {}
     observed = parts[0]["observed_data"]["y"]
     values, time = observed.values, observed["time"].values
     median = parts[0]["bands"]["response"].sel(quantile=0.5).values
@@ -120,7 +123,7 @@ def measured(result, parts) -> tuple[list, dict]:
     of_spectra = 8.0 / 3.0 * 4 * SPECTRUM * len(parts)
     n = int((BUDGET / len(values) - of_spectra) / size)
     samples = [extremes([y, y - m], n) for y, m in zip(values, median, strict=True)]
-    scale = scale_of_responses(observed)
+    scale = scale_of(float(np.nanmax(np.abs(values))), observed.attrs.get("units", "-"))
     found = {
         "unit": scale.unit,
         "sensors": observed["sensor"].values.astype(str).tolist(),
@@ -131,19 +134,14 @@ def measured(result, parts) -> tuple[list, dict]:
     if "displacement" in result["data"]:
         displacement = result["data"]["displacement"].values
         found["displacement"] = [packed(1e3 * displacement[kept]) for kept in samples]
-    return samples, {"measured": found}
+    return samples, scale.factor, {"measured": found}
 
 
-def scale_of_responses(observed):
-    """Unit with prefix of what was measured."""
-    return scale_of(float(np.nanmax(np.abs(observed.values))), observed.attrs.get("units", "-"))
-
-
-def responses(part, samples) -> dict:
+def responses(part, samples, factor) -> dict:
     """Median, bands as distances from it, components of draws, and spectra, of each sensor."""
     bands, kept = part["bands"].to_dataset(), part["histories"].to_dataset()
     observed, time = part["observed_data"]["y"], bands["time"].values
-    factor, found, top = scale_of_responses(observed).factor, [], top_of(part)
+    found, top = [], top_of(part)
     for k, at in enumerate(samples):
         of_one, y = bands.isel(sensor=k), observed.values[k] / factor
         low, median, high = of_one["response"].values / factor
@@ -190,12 +188,6 @@ def modes_of(part, result, n_kinds) -> dict:
         "mac": rounded(np.median(agreement, axis=0), 4),
     }
     return found | {"identified": of_both}
-
-
-def fitted_values(part) -> dict:
-    """Singular values of the spectra that the model makes: 5, 50 and 95 %."""
-    fitted = part["spectra"].to_dataset()
-    return {"frequency": packed(fitted["frequency"].values), "values": log_packed(fitted["response"].values)}
 
 
 def channel_values(result) -> dict:
