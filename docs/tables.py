@@ -19,7 +19,7 @@ from pymc_features.smc import KERNELS, SIMULATOR_KERNELS
 from pymc_features.structures import DAMPINGS, STRUCTURES
 from pymc_features.structures.specimens import SPECIMENS
 from pymc_features.update.config.keys import SCHEMA
-from pymc_features.update.configuration import Config
+from pymc_features.update.problem import Config
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = {  # name between the markers -> heading of the first column, members

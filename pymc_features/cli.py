@@ -418,7 +418,7 @@ def tell(shown, console):
 
 def check(options, console):
     """Look at the data of a configuration."""
-    from pymc_features.update.comparisons import candidates_of, members_of
+    from pymc_features.update.run import candidates_of, members_of
 
     config = Path(options.config)
     problem, told = read_and_tell(config, console)

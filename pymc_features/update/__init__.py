@@ -12,7 +12,7 @@ from pymc_features.lazy import lazily
 # keys are checked, and reports are made, without PyMC
 PLACES = {
     "Problem": "problem",
-    "read_config": "configuration",
+    "read_config": "problem",
     "read_problem": "problem",
     "run_update": "run",
     "write_example": "examples",

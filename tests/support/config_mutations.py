@@ -6,8 +6,8 @@ import datetime
 from pymc_features.update.config import sections
 from pymc_features.update.config.priors import DISTRIBUTIONS, arguments_of
 from pymc_features.update.config.structures import DAMPINGS, STRUCTURES
-from pymc_features.update.configuration import Config
 from pymc_features.update.kinds import ambient, cyclic, modal
+from pymc_features.update.problem import Config
 from support.mutations import mutated
 
 

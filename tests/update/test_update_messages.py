@@ -10,7 +10,7 @@ from pymc_features import cli
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config import priors
 from pymc_features.update.config import structures as structure_sections
-from pymc_features.update.configuration import Config, read_config
+from pymc_features.update.problem import Config, read_config
 from support.update_files import SIGMA, variant
 
 KINDS, HALF = 'kinds = ["EXP", "ABC"]', '"HalfNormal"'

@@ -16,8 +16,8 @@ from pymc_features.exceptions import ConfigError, StudyMismatchError
 from pymc_features.prediction import posterior_response
 from pymc_features.storage import PartStore, held
 from pymc_features.update import read_problem, sampling, write_example
-from pymc_features.update.comparisons import candidates_of
 from pymc_features.update.config import keys
+from pymc_features.update.run import candidates_of
 from pymc_features.update.sensitivity import remaining, sensitivity_sentences
 from support.update_files import replaced
 

@@ -22,7 +22,6 @@ import numpy as np
 import xarray as xr
 
 from pymc_features.calibration.events import interval
-from pymc_features.update.comparisons import comparison_sentences, population_table
 from pymc_features.update.config.keys import with_keys
 from pymc_features.update.kinds import KINDS
 from pymc_features.update.kinds.base import kinds_of, table
@@ -30,6 +29,7 @@ from pymc_features.update.kinds.events import CANNOT_BE_TOLD, UNTOLD
 from pymc_features.update.kinds.histories import bounds_of
 from pymc_features.update.predictions import PREDICTION, predicted_rows, predicted_table
 from pymc_features.update.problem import Problem
+from pymc_features.update.run import comparison_sentences, population_table
 from pymc_features.update.templates.numbers import Row, pretty, warning_of
 
 PACKAGES = ("pymc-features", "pymc", "pytensor", "numba", "numpy", "arviz")

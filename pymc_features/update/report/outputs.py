@@ -11,10 +11,9 @@ from pymc_features import plots
 from pymc_features.exceptions import ConfigError
 from pymc_features.records import Record
 from pymc_features.storage import netcdf_bytes, write_atomically
-from pymc_features.update.configuration import read_config
 from pymc_features.update.kinds.base import kinds_of, png
 from pymc_features.update.predictions import check_predictions, predictions
-from pymc_features.update.problem import Problem, model_of
+from pymc_features.update.problem import Problem, model_of, read_config
 from pymc_features.update.report.document import document_of
 from pymc_features.update.report.page import page_of, read_result
 from pymc_features.update.templates.numbers import files_of, rows_of
