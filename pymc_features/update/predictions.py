@@ -2,18 +2,18 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from pymc_features.exceptions import ConfigError
-from pymc_features.io import read_record
 from pymc_features.prediction import first_passage_probability, posterior_response
 from pymc_features.records import Record
+from pymc_features.update.config.entries import Positive, key
 from pymc_features.update.config.keys import named_key
-from pymc_features.update.config.sections import QUANTITIES, RecordFile, key
+from pymc_features.update.config.sections import QUANTITIES, SOME_QUANTITIES, RecordFile
 from pymc_features.update.kinds.base import QUANTILES, table
 from pymc_features.update.templates.numbers import interval_texts, predicted_quantities, scale_of
 
@@ -34,10 +34,8 @@ class Predict(RecordFile):
     path: str | None = key("the file with the ground acceleration, or left out for that of [data]", None)
     scale: float = key("a factor of the record, not 0", 1.0)
     peak: float | None = key("the largest acceleration in m/s^2 to scale the record to, positive", None, gt=0)
-    quantities: list[QUANTITIES] = key(
-        "a list of inter_storey_drift, base_shear, relative_displacement, absolute_acceleration", min_length=1
-    )
-    limits: dict[str, float | list[float]] = key(LIMITS, {})
+    quantities: list[QUANTITIES] = key(SOME_QUANTITIES, min_length=1)
+    limits: dict[str, Positive | Annotated[list[Positive], Field(min_length=1)]] = key(LIMITS, {})
     draws: int = key("a whole number from 10 on", DRAWS, ge=10)
     interpolation: Literal["band-limited", "linear"] | None = key(
         '"band-limited" or "linear", between the samples', None
@@ -46,11 +44,10 @@ class Predict(RecordFile):
     @model_validator(mode="after")
     def fits(self):
         """Limits are those of the quantities, and one thing decides the scale."""
-        for name, values in self.limits.items():
-            if name not in self.quantities:
-                raise ValueError(f"must have `limits` of its quantities {self.quantities}, got {name!r}")
-            if not values or min(np.ravel(values)) <= 0.0:
-                raise ValueError(f"must have positive `limits`, got {values} for {name}")
+        if strangers := set(self.limits) - set(self.quantities):
+            raise ValueError(
+                f"must have `limits` of its quantities {self.quantities}, got {min(strangers)!r}"
+            )
         if self.scale == 0.0 or (self.peak is not None and "scale" in self.model_fields_set):
             raise ValueError(f"must have a `scale` that is not 0, or a `peak`, got scale {self.scale:g}")
         of_file = self.model_fields_set & {"units", "dt", "column", "wrapped", "delay"}
@@ -63,6 +60,14 @@ class Predict(RecordFile):
         """What it is called."""
         found = self.name or ("measured motion" if self.path is None else Path(self.path).stem)
         return found.replace("/", "-")
+
+    def motion(self, folder: Path, measured: Record | None) -> Record:
+        """The motion, scaled."""
+        record, factor = measured if self.path is None else self.read(folder), self.scale
+        if self.peak is not None:
+            factor = self.peak / float(np.abs(record.acceleration).max())
+        interpolation = self.interpolation or record.interpolation
+        return replace(record, acceleration=factor * record.acceleration, interpolation=interpolation)
 
 
 def check_predictions(config, structure) -> None:
@@ -84,23 +89,7 @@ def check_predictions(config, structure) -> None:
             raise ConfigError(f"`{at}.path` must be given, the file of a ground motion: none was measured.")
 
 
-def motion_of(asked: Predict, at: str, folder: Path, measured: Record | None) -> Record:
-    """The motion of one prediction, scaled."""
-    with named_key(at):
-        record = measured
-        if asked.path is not None:
-            given = asked.model_dump(include={"units", "dt", "column", "wrapped"})
-            record = read_record(folder / asked.path, **given)
-        factor = asked.scale
-        if asked.peak is not None:
-            factor = asked.peak / float(np.abs(record.acceleration).max())
-        interpolation = asked.interpolation or record.interpolation
-        return replace(record, acceleration=factor * record.acceleration, interpolation=interpolation)
-
-
-def predictions(
-    config, folder: Path, structure, posterior: xr.Dataset, measured: Record | None
-) -> dict[str, xr.Dataset]:
+def predictions(config, folder: Path, structure, posterior, measured: Record | None) -> dict[str, xr.Dataset]:
     """Predict every response that a file asks for under a posterior, perhaps to the measured motion.
 
     Each title has a Dataset: the motion `ground_acceleration` (record_time); of each quantity q its bands q
@@ -110,16 +99,16 @@ def predictions(
     """
     found = {}
     for number, asked in enumerate(config.predict):
-        record = motion_of(asked, f"predict[{number}]", folder, measured)
+        with named_key(f"predict[{number}]"):
+            record = asked.motion(folder, measured)
+        given = posterior, structure, record
         settings = {"draws": asked.draws, "random_seed": 0, "n_modes": structure.n_modes}
-        data = posterior_response(
-            posterior, structure, record, asked.quantities, quantiles=QUANTILES, **settings
-        )
+        data = posterior_response(*given, asked.quantities, quantiles=QUANTILES, **settings)
         data = data.drop_vars(["chain", "draw"])
         data["ground_acceleration"] = "record_time", record.acceleration, {"units": "m/s^2"}
         for name, limits in asked.limits.items():
             limits = np.sort(np.ravel(limits).astype(float))
-            of_limits = first_passage_probability(posterior, structure, record, limits, name, **settings)
+            of_limits = first_passage_probability(*given, limits, name, **settings)
             for part in ("probability", "probability_se", "probability_any", "probability_any_se"):
                 data[f"{name}_{part}"] = of_limits[part].rename(limit=f"{name}_limit")
         found[asked.title] = data.assign_coords(record_time=record.time)
@@ -149,8 +138,7 @@ def predicted_table(rows: list[dict]) -> dict:
     for row in rows:
         scale = scale_of(max(map(abs, row["quantiles"])), row["unit"])
         unit, texts = interval_texts(row["quantiles"], row["unit"])
-        told = ("", "")
-        if row["limit"] is not None:
-            told = f"{row['limit'] / scale.factor:.4g}", f"{row['probability']:.3f}"
+        has_limit = row["limit"] is not None
+        told = (f"{row['limit'] / scale.factor:.4g}", f"{row['probability']:.3f}") if has_limit else ("", "")
         cells.append((row["motion"], row["quantity"], unit, *texts, *told))
     return table(PREDICTION, PREDICTION, "Largest responses to other motions", COLUMNS, cells, MEANING)

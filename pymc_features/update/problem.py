@@ -38,9 +38,8 @@ TAKEN = {"y", "chain", "draw", "sensor", "time", "sample", "mode", "modal", "mod
 FIRST = 5  # natural frequencies in a sentence
 #: Keys that change no draw, or, as the tolerance, those of ABC alone; an event is recognised by its data.
 WITHOUT_EFFECT = (
-    *("report", "modal.nodes", "likelihood.kinds", "likelihood.epsilon", "sampler.cores", "predict"),
-    *("sensitivity", "compare", "hierarchical", "external.cache"),
-    *("events.folder", "events.pattern", "events.files"),
+    "report predict compare hierarchical sensitivity modal.nodes likelihood.kinds likelihood.epsilon "
+    "sampler.cores external.cache events.folder events.pattern events.files"
 )
 
 
@@ -242,7 +241,9 @@ class Problem:
 
     def settings(self) -> dict:
         """All that determines the draws, flat, for the folder they are kept in."""
-        kept = {k: v for k, v in flattened(self.raw).items() if not k.startswith(WITHOUT_EFFECT)}
+        kept = {
+            k: v for k, v in flattened(self.raw).items() if not k.startswith(tuple(WITHOUT_EFFECT.split()))
+        }
         for data in self.data:
             kept |= data.prints()
         for file in self.structure.files:

@@ -3,12 +3,15 @@
 The description of a key completes the sentence "`key` must be ..." in messages, see `keys.py`.
 """
 
-from typing import Annotated, Any, Literal
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
+from pymc_features.io import read_record
 from pymc_features.likelihoods import LIKELIHOODS
-from pymc_features.records import INTERPOLATIONS, Interpolation
+from pymc_features.records import INTERPOLATIONS, Interpolation, Record
 from pymc_features.update.config.entries import STRICT, Vector, key, priors_in
 from pymc_features.update.config.keys import shown
 from pymc_features.update.config.priors import Prior
@@ -152,6 +155,12 @@ class RecordFile(FileFormat):
     interpolation: Interpolation = key('"band-limited" or "linear", between the samples', INTERPOLATIONS[0])
     delay: float = key("the time in seconds of the first sample on the clock of the channels", 0.0)
 
+    def read(self, folder: Path) -> Record:
+        """The record of the file, between whose samples it moves as the section says."""
+        given = self.model_dump(include={"units", "dt", "column", "wrapped"})
+        record = read_record(folder / self.path, **given)
+        return replace(record, interpolation=self.interpolation or record.interpolation)
+
 
 class Detrend(Section):
     """Offset or line to subtract."""
@@ -270,6 +279,7 @@ class Sampler(Section):
 
 
 QUANTITIES = Literal["inter_storey_drift", "base_shear", "relative_displacement", "absolute_acceleration"]
+SOME_QUANTITIES = f"a list of {', '.join(get_args(QUANTITIES))}"
 
 
 class Report(Section):
@@ -279,9 +289,7 @@ class Report(Section):
     natural_frequencies: list[float] | None = key(
         "a list of frequencies in Hz, lowest first, to compare with", None
     )
-    quantities: list[QUANTITIES] = key(
-        "a list of inter_storey_drift, base_shear, relative_displacement, absolute_acceleration", []
-    )
+    quantities: list[QUANTITIES] = key(SOME_QUANTITIES, [])
 
 
 class Candidate(Section):

@@ -17,6 +17,7 @@ from pymc_features.update.config.entries import Parameter, priors_in
 from pymc_features.update.config.keys import named_key, refuse, shown
 from pymc_features.update.config.sections import Section
 from pymc_features.update.config.structures import modes_of
+from pymc_features.update.plausibility.prior_modes import possible_modes
 
 CHECK_DPI, REPORT_DPI = 120, 110
 SENSORS = ("sensor", "degree of freedom", "peak [m/s²]", "rms [m/s²]")
@@ -246,28 +247,23 @@ def thinned(posterior: xr.Dataset, draws: int) -> xr.Dataset:
 
 def modes_of_draws(problem, draws: xr.Dataset, n_modes: int | None):
     """Place (chain, draw) and modes of each draw, those without a structure left out."""
-    columns = {name: draws[name].transpose("chain", "draw").values for name in problem.structure.names}
-    is_any = False
-    for place in np.ndindex(draws.sizes["chain"], draws.sizes["draw"]):
-        try:
-            structure = problem.structure(**{name: float(c[place]) for name, c in columns.items()})
-            found = modes_of(structure, n_modes)
-        except (ValueError, ArithmeticError, np.linalg.LinAlgError):
-            continue
-        is_any = True
-        yield place, found
-    if not is_any:
+    names, shape = problem.structure.names, (draws.sizes["chain"], draws.sizes["draw"])
+    columns = {name: draws[name].transpose("chain", "draw").values.ravel() for name in names}
+    k = None
+    for k, found in possible_modes(problem.structure, columns, lambda one: modes_of(one, n_modes)):
+        yield np.unravel_index(k, shape), found
+    if k is None:
         raise ConfigError("`structure` must have natural modes, got none at any draw of the posterior.")
 
 
 def frequencies(problem, posterior: xr.Dataset) -> xr.Dataset:
     """Natural frequencies [Hz] and damping ratios [-] of draws (chain, draw, mode); NaN if impossible."""
     few, found = thinned(posterior[problem.structure.names], MODAL_DRAWS), None
-    for (chain, draw), modes in modes_of_draws(problem, few, problem.structure.n_modes):
+    for (chain, draw), one in modes_of_draws(problem, few, problem.structure.n_modes):
         if found is None:
-            n_modes = modes.natural_frequencies.size
+            n_modes = one.natural_frequencies.size
             found = np.full((2, few.sizes["chain"], few.sizes["draw"], n_modes), np.nan)
-        found[:, chain, draw] = modes.natural_frequencies, modes.damping_ratios
+        found[:, chain, draw] = one.natural_frequencies, one.damping_ratios
     dims = ("chain", "draw", "mode")
     parts = {
         "natural_frequency": (dims, found[0], {"units": "Hz"}),

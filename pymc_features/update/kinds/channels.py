@@ -4,7 +4,6 @@ import contextlib
 import json
 import re
 import warnings
-from dataclasses import replace
 from math import ceil
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import xarray as xr
 
 from pymc_features import datasets, signals
 from pymc_features.exceptions import ChannelWarning, ConfigError, PriorWarning
-from pymc_features.io import read_channels, read_channels_with_gaps, read_record
+from pymc_features.io import read_channels, read_channels_with_gaps
 from pymc_features.records import EVEN
 from pymc_features.signals.channels import check_window
 from pymc_features.update.config.keys import named_key, shown
@@ -108,9 +107,7 @@ def with_motion(channels, section, folder) -> xr.DataArray:
     """Channels below the motion of the base from a file of its own, from where both are known."""
     with named_key("record"):
         step = signals.sampling_step(channels)
-        settings = section.model_dump(include={"units", "dt", "column", "wrapped"})
-        record = read_record(folder / section.path, **settings)
-        record = replace(record, interpolation=section.interpolation)
+        record = section.read(folder)
         if section.delay or not np.isclose(record.dt, step, rtol=1e-4, atol=0.0):
             record = record.resampled(step, delay=section.delay)
     channels = channels.isel(time=slice(ceil(max(section.delay, 0.0) / step - EVEN), None))

@@ -1,5 +1,6 @@
 """Modes, mass and stiffness that the priors expect: every draw, without anything compiled."""
 
+import contextlib
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -60,19 +61,16 @@ def prior_modes(
     """Modes of structures whose parameters are drawn, by functions of n and seed, but of impossible ones."""
     n = DRAWS if at_medians.n_dof <= LARGE else DRAWS_OF_LARGE
     columns = {name: draw(n, k) for k, (name, draw) in enumerate(draws.items())}
-    found, kept = [], []
     with np.errstate(all="ignore"):  # the inverse of a tiny mass is no number
         of_medians = modes_of(at_medians)
-        check_modes(is_structure(of_medians), "the medians")
-        for k in range(n if columns else 1):
-            try:
-                one = modes_of(structure(**{name: float(column[k]) for name, column in columns.items()}))
-            except (ValueError, ArithmeticError, np.linalg.LinAlgError):
-                continue
-            if is_structure(one):
-                found.append(one)
-                kept.append(k)
-    check_modes(found, "draws")
+        modes = {k: one for k, one in possible_modes(structure, columns, modes_of) if is_structure(one)}
+    for is_there, where in ((is_structure(of_medians), "the medians"), (modes, "draws")):
+        if not is_there:
+            raise ValueError(
+                f"masses and stiffnesses must have a natural frequency at {where} of the priors, got none. "
+                "Check their units."
+            )
+    kept, found = list(modes), list(modes.values())
     n_modes = min(one.natural_frequencies.size for one in found)
     shares = shares_of(of_medians)
     with np.errstate(divide="ignore"):
@@ -88,18 +86,16 @@ def prior_modes(
     )
 
 
+def possible_modes(structure: Callable, columns, modes_of: Callable):
+    """Number and modes of each draw, values by name, but of those at which there is no structure."""
+    for k in range(len(next(iter(columns.values()), [0]))):
+        with contextlib.suppress(ValueError, ArithmeticError, np.linalg.LinAlgError):
+            yield k, modes_of(structure(**{name: float(column[k]) for name, column in columns.items()}))
+
+
 def is_structure(modes) -> bool:
     """Whether there are modes, and all of them have a frequency."""
     return bool(modes.natural_frequencies.size and np.isfinite(modes.natural_frequencies).all())
-
-
-def check_modes(found, where: str) -> None:
-    """Refuse priors without any modes."""
-    if not found:
-        raise ValueError(
-            f"masses and stiffnesses must have a natural frequency at {where} of the priors, got none. Check "
-            "their units."
-        )
 
 
 def shares_of(modes) -> np.ndarray:
