@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import xarray as xr
@@ -10,10 +10,10 @@ from pydantic import Field, model_validator
 
 from pymc_features.exceptions import ConfigError
 from pymc_features.prediction import first_passage_probability, posterior_response
-from pymc_features.records import Record
+from pymc_features.records import Interpolation, Record
 from pymc_features.update.config.entries import Positive, key
 from pymc_features.update.config.keys import named_key
-from pymc_features.update.config.sections import QUANTITIES, SOME_QUANTITIES, RecordFile
+from pymc_features.update.config.sections import BETWEEN, QUANTITIES, SOME_QUANTITIES, RecordFile
 from pymc_features.update.kinds.base import QUANTILES, table
 from pymc_features.update.templates.numbers import interval_texts, predicted_quantities, scale_of
 
@@ -37,9 +37,7 @@ class Predict(RecordFile):
     quantities: list[QUANTITIES] = key(SOME_QUANTITIES, min_length=1)
     limits: dict[str, Positive | Annotated[list[Positive], Field(min_length=1)]] = key(LIMITS, {})
     draws: int = key("a whole number from 10 on", DRAWS, ge=10)
-    interpolation: Literal["band-limited", "linear"] | None = key(
-        '"band-limited" or "linear", between the samples', None
-    )
+    interpolation: Interpolation | None = key(BETWEEN, None)
 
     @model_validator(mode="after")
     def fits(self):

@@ -28,9 +28,10 @@ TAPER = "{base = VALUE, top = VALUE, exponent = VALUE}"
 ONE = "a number, the name of a prior, or {prior = NAME, times = NUMBER}"
 
 
-def key(description, default=..., **limits):
-    """A key with the words that complete "must be"."""
-    return Field(default, description=description, **limits)
+def key(description, default=..., unit=None, **limits):
+    """A key with the words that complete "must be", and the unit of what may be random."""
+    extra = None if unit is None else {"unit": unit}
+    return Field(default, description=description, json_schema_extra=extra, **limits)
 
 
 class Value(BaseModel):

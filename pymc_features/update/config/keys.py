@@ -14,7 +14,6 @@ from pymc_features.exceptions import ConfigError, DatasetUnavailableError
 
 SCHEMA = Path(__file__).with_name("schema.json")  # of `Config`; `python docs/tables.py` writes it anew
 LARGEST = 2**63 - 1  # integers of TOML have 64 bits
-DEEPEST = 16  # tables and lists within each other
 LONGEST = 200  # characters of a key
 OTHER = "of another kind"  # what a key must be that says nothing of itself
 ENTRY = 80  # characters of a name that the user chose, in a message
@@ -50,21 +49,23 @@ def parsed(path) -> dict:
     return raw
 
 
-def check_sizes(value, key: str = "", depth: int = 0) -> None:
-    """Refuse what would only fail later, in a conversion, by a recursion or in a message without end."""
+def items_of(value, key: str):
+    """Names, or numbers, and values of a table or a list at a key, and the keys of these values."""
+    if isinstance(value, list):
+        yield from ((number, item, f"{key}[{number}]") for number, item in enumerate(value))
+    elif isinstance(value, dict):
+        yield from ((name, item, f"{key}.{name}" if key else name) for name, item in value.items())
+
+
+def check_sizes(value, key: str = "") -> None:
+    """Refuse what would only fail later, in a conversion or in a message without end."""
     if isinstance(value, int) and abs(value) > LARGEST:
         raise ConfigError(f"`{key}` must be a number of at most 64 bits, got one of {value.bit_length()}.")
-    if depth > DEEPEST:
-        raise ConfigError(f"`{key}` must have at most {DEEPEST} tables or lists within each other, got more.")
-    if isinstance(value, list):
-        for number, item in enumerate(value):
-            check_sizes(item, f"{key}[{number}]", depth + 1)
-    elif isinstance(value, dict):
-        for name, item in value.items():
-            if len(name) > LONGEST:
-                at = f"`{key}`" if key else "the file"
-                raise ConfigError(f"{at} must have keys of at most {LONGEST} characters, got {len(name)}.")
-            check_sizes(item, f"{key}.{name}" if key else name, depth + 1)
+    for name, item, place in items_of(value, key):
+        if len(str(name)) > LONGEST:
+            at = f"`{key}`" if key else "the file"
+            raise ConfigError(f"{at} must have keys of at most {LONGEST} characters, got {len(name)}.")
+        check_sizes(item, place)
 
 
 def check_keys(raw: dict) -> None:
@@ -118,33 +119,28 @@ class Schema:
     def unknown(self, value, at: str = ""):
         """Yield a sentence for every key of a value that is unknown."""
         tables = self.tables(value)
-        if isinstance(value, list):
-            for number, item in enumerate(value):
-                yield from self.below(value, number).unknown(item, f"{at}[{number}]")
-        elif isinstance(value, dict) and tables:
-            for name, item in value.items():
-                place, below = f"{at}.{name}" if at else name, self.below(value, name)
-                if below is not None:
-                    yield from below.unknown(item, place)
-                elif all(one.get("additionalProperties", True) is False for one in tables):
-                    known = list(dict.fromkeys(key for one in tables for key in one["properties"]))
-                    close = difflib.get_close_matches(name, known, n=1)
-                    hint = f"Did you mean `{close[0]}`?" if close else f"Known here: {', '.join(known)}."
-                    yield f"`{place}` must be left out, it is no key. {hint}"
+        for name, item, place in items_of(value, at) if tables else ():
+            below = self.below(value, name)
+            if below is not None:
+                yield from below.unknown(item, place)
+            elif all(one.get("additionalProperties", True) is False for one in tables):
+                known = list(dict.fromkeys(key for one in tables for key in one["properties"]))
+                close = difflib.get_close_matches(name, known, n=1)
+                hint = f"Did you mean `{close[0]}`?" if close else f"Known here: {', '.join(known)}."
+                yield f"`{place}` must be left out, it is no key. {hint}"
 
     def place(self, location, value) -> tuple[str, str, str, "Schema"]:
         """Keys of an error joined by dots, what the last of them must be, which entry it is, and its schema.
 
-        A `location` of pydantic has tags of unions ("SpringMassChain") and names of types ("list[str]")
-        besides, which are no keys. Only what the file holds is followed, or a last key that is missing there.
-        An entry is one of a table of plain values, whose names the user chose.
+        A `location` of pydantic has tags of unions and names of types besides: only what the file holds is
+        followed, or a last key that is missing there. The user chose the names of entries of plain values.
         """
         path, words, entry, schema = "", OTHER, "", self
         for number, part in enumerate(location):
             tables, below = schema.tables(value), schema.below(value, part)
             is_known = any(part in one.get("properties", ()) for one in tables)
-            is_held = part in value if isinstance(value, dict) else False
-            is_held = is_held or (isinstance(value, list) and isinstance(part, int) and part < len(value))
+            held = value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
+            is_held = part in held
             if not is_held and not (is_known and number == len(location) - 1):
                 continue
             if isinstance(part, int):

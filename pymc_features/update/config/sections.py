@@ -27,6 +27,7 @@ MEASURED = {
 }
 SIGMA = {"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m"}  # unit of the errors
 ACCELERATIONS = [name for name, measured in MEASURED.items() if measured == "acceleration"]
+BETWEEN = '"band-limited" or "linear", between the samples of the base'
 KERNELS = ("PersistentSMC", "PopulationIMH", "PopulationMH", "TMCMC")
 DRAWS, CHAINS = 10_000_000, 1000  # at most: more would end without memory, after hours
 
@@ -64,6 +65,9 @@ Window = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidato
 Names = Annotated[list[str], Field(min_length=1)]
 
 
+Table = dict[str, Any]
+
+
 class FileFormat(Section):
     """What a file with numbers may not say itself; see `read_record`."""
 
@@ -88,9 +92,7 @@ class SensorFile(ChannelFormat):
     sensitivity: str | float | None = key('a text such as "100 mV/g", or V per SI unit', None)
     scale: float | None = key("a factor, -1.0 for an inverted sensor", None)
     delay: float | None = key("the seconds by which it comes late", None)
-    anchors: list[list[float]] | None = key(
-        "two pairs of a reading of its clock and the true time in seconds", None
-    )
+    anchors: list[list[float]] | None = key("two pairs [reading of its clock, true time in s]", None)
 
 
 class Data(ChannelFormat):
@@ -107,22 +109,16 @@ class Data(ChannelFormat):
     )
     resample: float | None = key("the sampling rate in Hz that all sensors get, positive", None, gt=0)
     quantity: Literal[tuple(MEASURED)] = key(f"one of {', '.join(MEASURED)}", "absolute_acceleration")
-    interpolation: Interpolation = key(
-        '"band-limited" or "linear", of the base between its samples', INTERPOLATIONS[0]
-    )
+    interpolation: Interpolation = key(BETWEEN, INTERPOLATIONS[0])
     rows: Rows | None = key("two rows or more from 0 on, [first, the one after the last]", None)
     gaps: Literal["refuse", "leave_out"] = key('"refuse" or "leave_out"', "refuse")
     base: str | None = key("the sensor that measured the motion of the base", None)
     sensors: Names = key("the names of the sensors on the structure, one or more")
-    dofs: list[int] | None = key(
-        "the degrees of freedom of `data.sensors`, whole numbers, 0 next to the base", None
-    )
+    dofs: list[int] | None = key("a list with the degree of freedom of each sensor, 0 next to the base", None)
     scale: float | dict[str, float] | None = key(
         "a factor for all sensors, or a table of sensor names to factors, -1.0 for an inverted one", None
     )
-    delay: dict[str, float] | None = key(
-        "a table of sensor names to the seconds by which they come late", None
-    )
+    delay: dict[str, float] | None = key("a table of sensor names to seconds by which they are late", None)
 
     @model_validator(mode="after")
     def one_source(self):
@@ -152,7 +148,7 @@ class RecordFile(FileFormat):
 
     path: str = key("the file with the ground acceleration")
     column: int | str | None = key("a column, by index from 0 or header name", None)
-    interpolation: Interpolation = key('"band-limited" or "linear", between the samples', INTERPOLATIONS[0])
+    interpolation: Interpolation = key(BETWEEN, INTERPOLATIONS[0])
     delay: float = key("the time in seconds of the first sample on the clock of the channels", 0.0)
 
     def read(self, folder: Path) -> Record:
@@ -185,9 +181,7 @@ class Processing(Section):
     trim: Window | None = key("two rising times [from, to] in seconds", None)
     compare: Window | None = key("two rising times [from, to] in seconds after `trim`", None)
     decimate: int = key("a positive whole number", 1, ge=1)
-    check_band: Literal[False] | Window | None = key(
-        "two rising frequencies [from, to] in Hz, or false", None
-    )
+    check_band: Literal[False] | Window | None = key("rising frequencies [from, to] in Hz, or false", None)
 
 
 class Likelihood(Section):
@@ -197,8 +191,7 @@ class Likelihood(Section):
         f"a list of {', '.join(LIKELIHOODS)}, each once", ["EXP"], min_length=1
     )
     sigma: Vector | None = key(
-        "the name of a prior or a positive number in m/s^2 (with [cyclic] in N), one or one for each sensor",
-        None,
+        "the name of a prior or a positive number in m/s^2 ([cyclic]: N), one or one for each sensor", None
     )
     correlation_time: Vector | None = key(
         "the name of a prior or a positive number in s, one or one for each sensor", None
@@ -286,18 +279,14 @@ class Report(Section):
     """What the report shows besides."""
 
     title: str = key("a line of text", "Updated model")
-    natural_frequencies: list[float] | None = key(
-        "a list of frequencies in Hz, lowest first, to compare with", None
-    )
+    natural_frequencies: list[float] | None = key("a list of frequencies in Hz, lowest first", None)
     quantities: list[QUANTITIES] = key(SOME_QUANTITIES, [])
 
 
 class Candidate(Section):
     """Another structure for the same data."""
 
-    structure: dict[str, Any] = key(
-        "a table: a whole structure with `type`, or what differs from [structure]"
-    )
+    structure: dict[str, Any] = key("a table: a whole structure with `type`, or what differs")
     priors: dict[str, dict[str, Any]] = key("a table of priors besides those of [priors]", {})
     weight: float = key("a prior probability beside 1 of [structure], positive", 1.0, gt=0)
 
@@ -313,9 +302,7 @@ class Population(Section):
 class Hierarchical(Section):
     """Several specimens or laboratories, of which the file is one, and their population."""
 
-    members: dict[str, dict[str, dict[str, Any]]] = key(
-        "a table of the others: of each the sections in which it differs from the file", min_length=1
-    )
+    members: dict[str, dict[str, Table]] = key("a table of others, each with what differs", min_length=1)
     population: dict[str, Population] = key("a table of parameters that vary, one or more", min_length=1)
 
 

@@ -44,7 +44,7 @@ def section_of(cls) -> type[Section]:
         default = ... if given.required or default is inspect.Parameter.empty else default
         kind, words = BY_STOREY if has_storeys and given.kind is Kind.VECTOR else TYPES[given.kind]
         if given.kind in (Kind.SCALAR, Kind.VECTOR):  # what may be random has its unit
-            field = key(f"{words}, in {given.unit}", default, json_schema_extra={"unit": given.unit})
+            field = key(f"{words}, in {given.unit}", default, given.unit)
         else:
             kind, field = kind | None if default is None else kind, key(words, default)
         fields[name] = kind, field

@@ -34,6 +34,7 @@ AMBIENT = Likelihood(
     lambda given: None,  # no response is compared in time
     takes=(),
 )
+Windows = Annotated[list[Window], Field(min_length=1)]
 DENSITY = "the name of a prior or a positive number in {}, one or one for each band"
 UNITS = {"dofs": "N^2/Hz", "modes": "N^2/kg/Hz"}  # of the forces
 ERROR = "m^2/s^3"  # (m/s^2)^2/Hz
@@ -60,9 +61,7 @@ LEFT_OUT = {  # keys that mean nothing here, and why
 class AmbientSection(Section):
     """Spectral densities of forces and errors, and the frequencies that are compared."""
 
-    bands: Literal["auto"] | Annotated[list[Window], Field(min_length=1)] = key(
-        '"auto" or a list of rising pairs [from, to] in Hz', "auto"
-    )
+    bands: Literal["auto"] | Windows = key('"auto" or a list of rising pairs [from, to] in Hz', "auto")
     force: Vector = key(DENSITY.format("N^2/Hz"))
     error: Vector = key(DENSITY.format("(m/s^2)^2/Hz"))
     forces: Literal["dofs", "modes"] = key('"dofs" or "modes", where they act', "dofs")

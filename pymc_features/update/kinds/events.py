@@ -7,16 +7,16 @@ import warnings
 from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import xarray as xr
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from pymc_features import plots
 from pymc_features._checks import listed
 from pymc_features.events.sequence import states_in_sequence
 from pymc_features.exceptions import ConfigError, StudyMismatchError
+from pymc_features.update.config.entries import Positive
 from pymc_features.update.config.keys import shown
 from pymc_features.update.config.sections import Section, key
 from pymc_features.update.kinds.base import declare, kinds_of, table
@@ -42,16 +42,10 @@ MEANING = (
 class EventsSection(Section):
     """Which events, and how the structure may have changed from one to the next."""
 
-    folder: str | None = key(
-        "a folder that holds a file or a folder for each event, in the order of their names", None
-    )
+    folder: str | None = key("a folder with a file or a folder for each event, in order of their names", None)
     pattern: str | None = key('which names in `folder` are events, as "*.csv"', None)
-    files: list[str] | None = key(
-        "a list of files or folders, one for each event in their order", None, min_length=1
-    )
-    drift: dict[str, Annotated[float, Field(gt=0)]] = key(
-        "a table of priors to positive numbers, the standard deviations by which they move between events", {}
-    )
+    files: list[str] | None = key("a list of files or folders, one for each event", None, min_length=1)
+    drift: dict[str, Positive] = key("a table of priors to deviations from event to event, positive", {})
     forgetting: float = key("a number above 0 and at most 1", 1.0, gt=0, le=1)
     change: float = key("a probability between 0 and 1", 0.005, gt=0, lt=1)
 

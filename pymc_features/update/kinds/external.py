@@ -47,9 +47,7 @@ class ExternalSection(Section):
     timeout: float | None = key("seconds after which a run is stopped, positive", None, gt=0)
     retries: int = key("a whole number of further attempts, not negative", 0, ge=0)
     cache: str = key("a file that keeps every run", "simulations.sqlite")
-    emulate: int | None = key(
-        "a whole number of runs from 10 on, from which an emulator is made", None, ge=10
-    )
+    emulate: int | None = key("a whole number of runs from 10 on, for an emulator", None, ge=10)
 
     @model_validator(mode="after")
     def takes_something(self):

@@ -66,25 +66,19 @@ class ModalSection(Section):
     file: str | None = key("a file with identified modes", None)
     files: list[str] | None = key("a list of files, two or more, one for each set-up", None, min_length=2)
     references: Names | None = key("the names of the channels that several set-ups have", None)
-    names: dict[str, str] | None = key(
-        "a table of quantities to what the files call them, such as omega or damping_percent", None
-    )
+    names: dict[str, str] | None = key("a table of quantities, such as omega, to names in the files", None)
     modes: list[int] | None = key("a list of numbers of modes in the file, 1 the first", None, min_length=1)
     channels: dict[str, int] | None = key(
         "a table of channel names to degrees of freedom, 0 next to the base", None, min_length=1
     )
-    scale: dict[str, float] | None = key(
-        "a table of channel names to factors, -1.0 for an inverted one", None
-    )
+    scale: dict[str, float] | None = key("a table of channel names to factors, -1.0 inverts one", None)
     shapes: bool = key("true or false, whether shapes are compared", True)
     labels: list[str | int] | None = key(
         "a list with a name for each mode, equal for several identifications of one", None, min_length=1
     )
     n_modes: int | None = key("the number of modes of the structure to choose from, positive", None, ge=1)
-    sigma_f: Vector = key(f"{SCALE}, the error of the model in ln f", json_schema_extra={"unit": "-"})
-    sigma_phi: Vector | None = key(
-        f"{SCALE}, the scale of the root of 1 - MAC", None, json_schema_extra={"unit": "-"}
-    )
+    sigma_f: Vector = key(f"{SCALE}, the error of the model in ln f", unit="-")
+    sigma_phi: Vector | None = key(f"{SCALE}, the scale of the root of 1 - MAC", None, unit="-")
     density: Literal["EXP", "TN"] | float = key('"EXP", "TN" or degrees of freedom, positive', "EXP")
     nodes: str | None = key("a CSV file with columns dof or name, x, y, z", None)
 
