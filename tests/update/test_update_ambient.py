@@ -269,10 +269,7 @@ REFUSED = {  # what is said: what is changed, into what
     "`ambient` must be left out without `data.excitation": ('excitation = "ambient"', ""),
     '`data.excitation` must be "measured" or "ambient"': ('excitation = "ambient"', 'excitation = "wind"'),
     "`ambient.force` must be given: the name of a prior or a positive number": ('force = "wind"', ""),
-    "list of rising pairs [from, to] in Hz, got [[3.0, 2.0]].": (
-        "[ambient]",
-        "[ambient]\nbands = [[3.0, 2.0]]",
-    ),
+    r"pairs .from, to. in Hz, got \[\[3.0, 2.0\]\]\.$": ("[ambient]", "[ambient]\nbands = [[3.0, 2.0]]"),
     '`ambient.bands` must be "auto" or a list of rising pairs': ("[ambient]", "[ambient]\nbands = []"),
     r"\[ambient.bands\]: `bands` must be ascending pairs": ("[ambient]", "[ambient]\nbands = [[2.0, 80.0]]"),
     "bands with 8 frequencies of the record": ("[ambient]", "[ambient]\nbands = [[3.0, 3.01]]"),

@@ -167,7 +167,7 @@ def test_a_window_is_compared_and_columns_are_turned(folder):
     text = CONFIG.replace("[priors]", "[processing]\ncompare = [0.2, 1.2]\n\n[priors]")
     (folder / "update.toml").write_text(text)
     data = read_problem(folder / "update.toml").first
-    assert data.measured.window == slice(10, 61) and data.simulator.shape == (2, SIZE)
+    assert data.window == slice(10, 61) and data.simulator.shape == (2, SIZE)
     turned = PROGRAM.replace('printf "%.15g,%.15g,%.15g\\n", t, y, 0.5 * y > "out.csv"', "a[i] = y").replace(
         "    }\n}",
         "    }\n    for (f = 1; f > 0.4; f /= 2) {"

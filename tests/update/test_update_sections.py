@@ -196,7 +196,7 @@ BAD = {
         "limits = { inter_storey_drift",
         "limits = { drift",
     ),
-    "`predict[0]` must have positive `limits`": ("[0.005, 1e3]", "-1.0"),
+    "limit in SI units, or a list of limits, positive, got -1.0": ("[0.005, 1e3]", "-1.0"),
     "`predict[0]` must have a `scale` that is not 0, or a `peak`": ("scale = 0.5", "scale = 0.5\npeak = 3.0"),
     "`predict[0]` must have `dt` only with `path`, got no file": ("scale = 0.5", "dt = 0.5"),
     "`predict` must have a `name` of its own for each": (PREDICT, PREDICT + PREDICT),

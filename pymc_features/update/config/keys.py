@@ -158,7 +158,7 @@ def sentence(error, raw: dict) -> str:
     """The first error of pydantic in words, and how many other places have one."""
     found = error.errors(include_url=False)
     places = [Schema().place(one["loc"], raw) for one in found]
-    more = len({path for path, *_ in places}) - 1
+    more = len({re.sub(r"(\[\d+\])+$", "", path) for path, *_ in places}) - 1
     first = words(found[0], *places[0])
     return f"{first} ({more} more after this one.)" if more else first
 

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import xarray as xr
 
 from pymc_features import plots
 from pymc_features.exceptions import ConfigError
@@ -83,9 +82,8 @@ class Cyclic(Histories):
         return found.assign_coords(displacement=("time", self.record.displacement))
 
     def shared(self, problem):
-        displacement = {"displacement": ("time", self.record.displacement, {"units": "m"})}
-        channels = self.channels.drop_attrs().assign_attrs(units="N")
-        return {"data": xr.Dataset({"measured": channels}, displacement, {"source": self.source})}
+        displacement = "time", self.record.displacement, {"units": "m"}
+        return {"data": super().shared(problem)["data"].assign_coords(displacement=displacement)}
 
     def told(self):
         yield f"data: {self.source}; {self.record}"

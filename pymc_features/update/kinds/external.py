@@ -5,7 +5,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 from pydantic import model_validator
 from pytensor.graph.traversal import ancestors
 
@@ -166,9 +165,6 @@ class External(Histories):
         known = np.isfinite(values).all(axis=(1, 2))
         labels = {name: ("sample", drawn[name].values[known]) for name in ("chain", "draw")}
         yield labels, lambda: [(0, np.moveaxis(values[known], 0, -1))]
-
-    def shared(self, problem):
-        return {"data": xr.Dataset({"measured": self.with_units}, attrs={"source": self.source})}
 
     def told(self):
         yield f"data: {self.source}; {self.simulator.shape[1]} samples at {self.step:.6g} s"

@@ -259,6 +259,9 @@ class Histories(KindOfData):
                 found[f"{name}_peak"] = kept.drop_vars([c for c in kept.coords if c not in kept.dims])
         return found
 
+    def shared(self, problem):
+        return {"data": xr.Dataset({"measured": self.with_units}, attrs={"source": self.source})}
+
     def sentences(self, problem, result, explains):
         """Gaps, and how many observations the residuals support."""
         if self.left_out:

@@ -198,14 +198,13 @@ class Responses(Histories):
         given = problem.config.report.natural_frequencies
         if given is None and problem.modal is not None:
             given = problem.modal.data.frequencies
-        columns = {"ground_acceleration": ("record_time", self.record.acceleration, {"units": "m/s^2"})}
-        columns |= {"measured": self.with_units, "gain": gain}
-        columns["peak_frequency"] = "peak", peaks, {"units": "Hz"}
+        data = super().shared(problem)["data"].assign_coords(record_time=self.record.time)
+        data["ground_acceleration"] = "record_time", self.record.acceleration, {"units": "m/s^2"}
+        data["gain"], data["peak_frequency"] = gain, ("peak", peaks, {"units": "Hz"})
         if given is not None:
-            columns["given_frequency"] = "given", np.array(given, dtype=np.float64), {"units": "Hz"}
-        attrs = {"record": self.record.name, "source": self.source}
-        attrs |= {"interpolation": self.record.interpolation, "refinement": self.request(problem)[0].factor}
-        return {"data": xr.Dataset(columns, {"record_time": self.record.time}, attrs)}
+            data["given_frequency"] = "given", np.array(given, dtype=np.float64), {"units": "Hz"}
+        how = {"record": self.record.name, "interpolation": self.record.interpolation}
+        return {"data": data.assign_attrs(how, refinement=self.request(problem)[0].factor)}
 
     def told(self):
         yield f"data: {self.source}; base: {self.record}"
