@@ -5,6 +5,7 @@ the template of the configuration and what that takes, the text of the file with
 measured ones are used, and a sentence on which data are used, and why.
 """
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -34,12 +35,12 @@ def simulated(template, values, file, chain, record, sensors, random_seed, why):
     exact = np.vstack([record.acceleration, floors])
     scale = np.array([BASE_NOISE, *(FLOOR_NOISE * floors.std(axis=1))])[:, None]
     measured = exact + scale * np.random.default_rng(random_seed).standard_normal(exact.shape)
-    lines = [",".join(["time [s]", *(f"{name} [m/s^2]" for name in ("base", *sensors))])]
-    for t, row in zip(record.time, measured.T, strict=True):
-        lines.append(",".join([f"{t:.2f}", *(f"{value:.5f}" for value in row)]))
+    header, table = ",".join(["time [s]", *(f"{name} [m/s^2]" for name in ("base", *sensors))]), io.StringIO()
+    forms = ["%.2f", *["%.5f"] * len(measured)]
+    np.savetxt(table, np.vstack([record.time, measured]).T, forms, ",", header=header, comments="")
     frequencies = ", ".join(f"{f:.3f}" for f in chain.modes().natural_frequencies[:3])
     values |= {"file": file, "frequencies": frequencies}
-    return template, values, "\n".join(lines) + "\n", f"data: simulated, {why}"
+    return template, values, table.getvalue(), f"data: simulated, {why}"
 
 
 def building(file: str, synthetic: bool):
@@ -115,13 +116,10 @@ def write_example(path, *, example: str = "shaking-table", synthetic: bool = Fal
         raise FileNotFoundError(f"`CONFIG` must be in an existing folder, got {path.parent}.")
     template, values, channels, sentence = EXAMPLES[example](measured.name, synthetic)
     schema = path.with_name(f"{path.stem}.schema.json")
-    lines = f"#:schema ./{schema.name}\n{TEMPLATES.get_template(template).render(values)}"
-    texts = {path: lines}
-    if channels:
-        texts[measured] = channels
-    for file in texts:
-        if file.exists():
-            raise FileExistsError(f"`CONFIG` must be a new file, got {file}. Choose another name.")
+    texts = {path: f"#:schema ./{schema.name}\n{TEMPLATES.get_template(template).render(values)}"}
+    texts |= {measured: channels} if channels else {}
+    if there := [file for file in texts if file.exists()]:
+        raise FileExistsError(f"`CONFIG` must be a new file, got {there[0]}. Choose another name.")
     texts[schema] = SCHEMA.read_text(encoding="utf-8")  # which may be there, of another configuration
     for file, text in reversed(texts.items()):  # the configuration last, which names the other
         write_atomically(file, lambda p, text=text: p.write_text(text, encoding="utf-8"))

@@ -126,8 +126,7 @@ def check_sources(config: File) -> None:
         raise ConfigError(f"`structure` must be given: {A_STRUCTURE}.")
     if config.structure is not None and config.structure.type in SPECIMENS and config.cyclic is None:
         raise ConfigError(
-            f"`cyclic` must be given for a {config.structure.type}: a table with the files of "
-            "displacement and force."
+            f"`cyclic` must be given for a {config.structure.type}: files of displacement and force."
         )
     asked = [kind for kind in KINDS_OF_DATA if kind.is_asked(config)]
     if config.ambient is not None and all(kind.key != "ambient" for kind in asked):
@@ -323,8 +322,7 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
     frequencies = config.report.natural_frequencies
     if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
         raise ConfigError(
-            f"`report.natural_frequencies` must be positive and rise, got {shown(frequencies)}. "
-            "Pass them in Hz."
+            f"`report.natural_frequencies` must be positive and rise, in Hz, got {shown(frequencies)}."
         )
     check_predictions(config, structure)
     return problem

@@ -116,7 +116,10 @@ BROKEN = {  # what is said: what is changed, into what
     "`modal.channels` must be given with shapes: a table of channel names to degrees of freedom. modes.csv "
     "has floor 1, floor 2, roof. Or set shapes = false.": (CHANNELS, ""),
     "[modal]: `channels` must be among those of these modes (floor 1, floor 2,": ("roof = 2", "attic = 2"),
-    "`modal.channels` must be different degrees of freedom from 0 to 2, got [0,": ("roof = 2", "roof = 3"),
+    "`modal.channels` must be different degrees of freedom from 0 to 2, 0 next to the base, got [0,": (
+        "roof = 2",
+        "roof = 3",
+    ),
     "`modal.channels` must be two or more, for a shape of one entry": (CHANNELS, "channels = { roof = 2 }"),
     "`modal.modes` must be different numbers from 1 to 3, the modes of": (PHI, f"{PHI}\nmodes = [0, 1]"),
     "`modal.labels` must have a name for each of the 3 modes, got 2.": (PHI, f'{PHI}\nlabels = ["a", "b"]'),

@@ -68,8 +68,7 @@ class Prior(BaseModel):
                 densities = pm.logp(variable, draws).eval(mode=_PLAIN)
         except NotImplementedError:
             raise ValueError(
-                f"must be a `distribution` that can be drawn from, {got}. An improper prior has no draws to "
-                "start from"
+                f"must be a `distribution` that can be drawn from, no improper one, {got}"
             ) from None
         except Exception as error:  # each distribution has its own ways to refuse
             reason = (str(error) or type(error).__name__).splitlines()[0]

@@ -193,10 +193,8 @@ def check_positive(key: str, value, priors, n=None, each="", advice="", can_be_z
 def check_dofs(key: str, dofs, size: int) -> None:
     """Refuse degrees of freedom that are not there, or named twice."""
     if len(set(dofs)) < len(dofs) or not all(0 <= dof < size for dof in dofs):
-        raise ConfigError(
-            f"`{key}` must be different degrees of freedom from 0 to {size - 1}, got {shown(dofs)}. 0 is "
-            "next to the base."
-        )
+        known = f"from 0 to {size - 1}, 0 next to the base"
+        raise ConfigError(f"`{key}` must be different degrees of freedom {known}, got {shown(dofs)}.")
 
 
 # ---- the model, and draws ----

@@ -51,8 +51,7 @@ def read_corrected(config, folder: Path) -> tuple[xr.DataArray, str]:
     if data.rows is not None:
         if data.rows[1] > channels.sizes["time"]:
             raise ConfigError(
-                f"`data.rows` must lie within the {channels.sizes['time']} rows of the files, got "
-                f"{list(data.rows)}."
+                f"`data.rows` must lie within the {channels.sizes['time']} rows, got {list(data.rows)}."
             )
         first, last = (float(channels["time"][row]) for row in (data.rows[0], data.rows[1] - 1))
         channels = signals.trim(channels, first, last)

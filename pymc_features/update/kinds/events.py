@@ -98,12 +98,9 @@ class Events(Responses):
                 f"`sampler.draws` must be at least {FEWEST_DRAWS} with [events], got {asked.draws}. They are "
                 "the prior of the next event."
             )
-        for name in config.events.drift:
-            if name not in config.priors:
-                raise ConfigError(
-                    f"`events.drift` must name priors of the file, got {shown(name)}. Known here: "
-                    f"{', '.join(config.priors)}."
-                )
+        if strangers := [name for name in config.events.drift if name not in config.priors]:
+            known = ", ".join(config.priors)
+            raise ConfigError(f"`events.drift` must name priors of {known}, got {shown(strangers[0])}.")
 
     @classmethod
     def read(cls, problem):
@@ -168,9 +165,8 @@ class Events(Responses):
         asked = self.config.events
         models = [declare(self.at(problem, event), likelihood) for event in self.events.values()]
         free = {rv.name for rv in models[0].free_RVs}
-        settings = running.of_sampler(self.config.sampler) | asked.model_dump(
-            include={"forgetting", "change"}
-        )
+        settings = running.of_sampler(self.config.sampler)
+        settings |= asked.model_dump(include={"forgetting", "change"})
         settings["drift"] = {name: value for name, value in asked.drift.items() if name in free}
         out = None if running.out is None else Path(running.out) / FOLDER / likelihood
         states = states_in_sequence(models, out=out, random_seed=seed, **settings)

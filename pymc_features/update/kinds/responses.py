@@ -54,14 +54,12 @@ class Responses(Histories):
     def check_sections(cls, config):
         if config.events is None and config.data.files is None and config.data.dataset is None:
             raise ConfigError(
-                "`data` must have one of the keys `files` and `dataset`, got neither. Or name several events "
-                "in [events]."
+                "`data` must have one of the keys `files` and `dataset`, got neither. Or give [events]."
             )
         super().check_sections(config)
         if config.data.base is None and config.record is None:
             raise ConfigError(
-                "`data.base` must name the sensor on the base, got none. Or give the ground motion in "
-                "[record]."
+                "`data.base` must name the sensor on the base, got none. Or give its motion in [record]."
             )
         if config.data.base is not None and config.record is not None:
             raise ConfigError("`record` must be left out with `data.base`, got both. One motion of the base.")
@@ -379,10 +377,7 @@ def odd_modes(frequencies, ratios, band):
     odd = np.flatnonzero((ratios < DAMPING[0]) | (ratios > DAMPING[1]))
     if odd.size:
         named = ", ".join(f"{100 * ratios[k]:.3g} % at mode {k + 1}" for k in odd[:5])
-        yield (
-            f"The damping is beyond what structures have: {named}. It may stand for something that the model "
-            "lacks."
-        )
+        yield (f"The damping is beyond what structures have: {named}. It may stand for what the model lacks.")
 
 
 def too_coarse(ratios, sensors, record) -> list[str]:
