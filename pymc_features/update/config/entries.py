@@ -53,8 +53,8 @@ class Parameter(Value):
 class Matrix(Value):
     """A matrix of a file, by its name there."""
 
-    file: str
-    name: str | None = None
+    file: str = key("a file with matrices")
+    name: str | None = key("the name of one of the matrices", None)
 
 
 def form(value) -> str:

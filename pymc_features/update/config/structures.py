@@ -175,7 +175,7 @@ def loaded(value, at, folder):
     name = next(iter(found)) if value.name is None and len(found) == 1 else value.name
     if name not in found:
         raise ConfigError(
-            f"`{at}.name` must be a matrix of {value.file}, {', '.join(sorted(found))}, got {name!r}."
+            f"`{at}.name` must be one of the {', '.join(sorted(found))} of {value.file}, got {name!r}."
         )
     return found[name]
 

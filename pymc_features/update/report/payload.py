@@ -46,7 +46,7 @@ def payload_of(result) -> dict:
             "draws": draws_of(part, own),
             "responses": responses(part, samples, factor) if "bands" in part.children else None,
             "modes": modes_of(part, result, len(kinds)) if "mode_shapes" in part.children else None,
-            "singular_values": None,
+            "singular_values": fitted_values(part) if "spectra" in part.children else None,
             "events": events_of(part, own) if "sequence" in part.children else None,
             "stages": stages_of(part) if "sample_stats" in part.children else None,
             "ranks": ranks_of(part, own, of_kind) if part["posterior"].sizes["chain"] > 1 else None,
@@ -56,12 +56,6 @@ def payload_of(result) -> dict:
             quantiles = np.nanquantile(values.reshape(-1, values.shape[-1]), QUANTILES, axis=0).T
             found["of"][kind]["frequencies"] = rounded(quantiles)
             found["of"][kind]["frequency_texts"] = [interval_texts(row, "Hz")[1] for row in quantiles]
-        if "spectra" in part.children:  # singular values of those that the model makes: 5, 50 and 95 %
-            columns = (
-                packed(part["spectra"]["frequency"].values),
-                log_packed(part["spectra"]["response"].values),
-            )
-            found["of"][kind]["singular_values"] = dict(zip(("frequency", "values"), columns, strict=True))
     if "geometry" in result.children:
         found["geometry"] = geometry(result)
     if "data" in result.children and "gain" in result["data"]:
@@ -79,10 +73,8 @@ def densities(part, factors, rows) -> dict:
     for name, factor in factors.items():
         prior = part["prior"][name].values / factor
         is_wide = bool(prior.min() > 0.0 and np.quantile(prior, 0.99) > WIDE * np.median(prior))
-        columns = (
-            *density(part["posterior"][name].values / factor),
-            *density(np.log10(prior) if is_wide else prior),
-        )
+        of_prior = density(np.log10(prior) if is_wide else prior)
+        columns = *density(part["posterior"][name].values / factor), *of_prior
         found[name] = dict(zip(("x", "y", "prior_x", "prior_y"), map(packed, columns), strict=True))
         found[name] |= {"is_log": is_wide, "quantiles": rounded(quantiles[name] / factor, 9)}
     return found
@@ -188,6 +180,12 @@ def modes_of(part, result, n_kinds) -> dict:
         "mac": rounded(np.median(agreement, axis=0), 4),
     }
     return found | {"identified": of_both}
+
+
+def fitted_values(part) -> dict:
+    """Singular values of the spectra that the model makes: 5, 50 and 95 %."""
+    fitted = part["spectra"].to_dataset()
+    return {"frequency": packed(fitted["frequency"].values), "values": log_packed(fitted["response"].values)}
 
 
 def channel_values(result) -> dict:
