@@ -150,13 +150,13 @@ def checked_dofs(config, size) -> list[int]:
     return list(range(size)) if dofs is None else dofs
 
 
-def check(channels, config, dofs, prior) -> tuple[Compared, xr.Dataset | None, str]:
+def check(channels, config, prior) -> tuple[Compared, xr.Dataset | None, str]:
     """Compare the channels, base first, with the priors, and with each other where floors follow the base."""
     data, asked, kept = config.data, config.processing, config.processing.band_pass
     step = signals.sampling_step(channels)
     start, end = asked.compare or asked.trim or (0.0, channels.sizes["time"] * step)
     pass_band = (0.0, np.inf) if kept is None else (kept.low or 0.0, kept.high or np.inf)
-    compared = of_data(channels, step, prior, dofs, data.quantity, duration=end - start, pass_band=pass_band)
+    compared = of_data(channels, step, prior, duration=end - start, pass_band=pass_band)
     for sentence in compared.sentences:
         warnings.warn(sentence, PriorWarning, stacklevel=2)
     if asked.check_band is False:
@@ -170,7 +170,7 @@ def check(channels, config, dofs, prior) -> tuple[Compared, xr.Dataset | None, s
         none = {name: ("sensor", np.full(channels.sizes["sensor"], n)) for name, n in NO_CORRECTION.items()}
         gains = xr.Dataset(none, {"sensor": channels["sensor"].values})
     else:
-        gains = gains_of(channels, band, compared, dofs, data.quantity)
+        gains = gains_of(channels, band, compared)
     if of_modes := told_by_modes(gains, compared.placed):
         warnings.warn(of_modes, ChannelWarning, stacklevel=2)
     if lines := corrections(gains, data):
@@ -205,15 +205,15 @@ def why_not(channels, band) -> str:
     return ""
 
 
-def gains_of(channels, band, compared, dofs, quantity) -> xr.Dataset:
+def gains_of(channels, band, compared) -> xr.Dataset:
     """What `check_channels` finds, without lags that the modes contradict; another clock is refused."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         gains = signals.check_channels(channels, band=band)
         delays = gains["delay"].values[1:]
         if compared.placed is not None and delays.any() and np.abs(delays).max() < OFFSET:
-            spectra, settings = spectra_of(channels, compared.step), {"factor": compared.scale.factor}
-            if not lags_confirmed(spectra, compared.prior, dofs, quantity, delays=delays, **settings):
+            spectra, factor = spectra_of(channels, compared.step), compared.scale.factor
+            if not lags_confirmed(spectra, compared.prior, factor=factor, delays=delays):
                 caught.clear()
                 gains = signals.check_channels(channels, band=band, damping_ratio=EXPLAINS_ANY)
     for warning in sorted(caught, key=lambda warning: LAGS in str(warning.message)):  # the least of faults

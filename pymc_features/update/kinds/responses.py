@@ -89,7 +89,8 @@ class Responses(Histories):
             )
         channels = files.detrended(channels, asked)
         with named_key("processing.check_band"):
-            compared, gains, checked = files.check(channels, config, dofs, problem.prior)
+            prior = problem.prior.at_sensors(dofs, data.quantity)
+            compared, gains, checked = files.check(channels, config, prior)
         if asked.band_pass is not None:
             corners = asked.band_pass.low, asked.band_pass.high
             with named_key("processing.band_pass"):

@@ -49,8 +49,8 @@ class Compared(NamedTuple):
     duration: float
 
 
-def of_data(channels, step, prior: PriorModes, dofs, quantity, *, duration, pass_band) -> Compared:
-    """Compare channels (sensor, time) as they were measured, the base first, with what the priors expect.
+def of_data(channels, step, prior: PriorModes, *, duration, pass_band) -> Compared:
+    """Compare channels (sensor, time) as they were measured, the base first, with priors at the sensors.
 
     `duration` is that of the part that is compared [s]; filters leave the frequencies `pass_band` [Hz].
     """
@@ -58,7 +58,7 @@ def of_data(channels, step, prior: PriorModes, dofs, quantity, *, duration, pass
     found, scale, placed, first = resonances(spectra), None, None, None
     shown, is_contradicted, told, peaks = np.median(prior.frequencies, axis=0), False, [], {}
     if found:
-        scale = transfer.scale_of(spectra, few, dofs, quantity)
+        scale = transfer.scale_of(spectra, few)
         peaks = matched(scale.factor * few.frequencies[scale.draw], found)
     if peaks:
         mode = min(peaks)
@@ -68,9 +68,9 @@ def of_data(channels, step, prior: PriorModes, dofs, quantity, *, duration, pass
             told.append(contradiction(prior, peaks, step))
             shown = scale.factor * shown
         else:
-            placed = transfer.placement(spectra, prior, dofs, quantity, scale.factor)
+            placed = transfer.placement(spectra, prior, scale.factor)
         first = scale.factor * few.frequencies[scale.draw, 0] if mode else peaks[0].frequency
-    told += too_little(duration, step, first, shown, len(dofs), pass_band)
+    told += too_little(duration, step, first, shown, len(spectra.names), pass_band)
     if peaks and not is_contradicted:
         told += odd_damping(prior, peaks, mode)
     checked = "not compared with the priors: no resonance stands out of the sensors' motion"

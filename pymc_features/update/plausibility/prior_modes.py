@@ -22,6 +22,7 @@ class PriorModes(NamedTuple):
     mass: float  # that the base moves, at the medians [kg]
     deflection: float  # largest displacement under an acceleration of 1 g across the base, at the medians [m]
     is_linear: bool  # whether springs keep their stiffness
+    quantity: str = "relative_displacement"  # that the shares are of
 
     @property
     def first(self) -> float:
@@ -40,10 +41,10 @@ class PriorModes(NamedTuple):
         low, high = np.quantile(self.frequencies[:, mode], [0.05, 0.95])
         return float(low), float(high)
 
-    def at_sensors(self, dofs, quantity) -> np.ndarray:
-        """Shares (d, s, m) of the modes in a quantity at some degrees of freedom."""
+    def at_sensors(self, dofs, quantity) -> "PriorModes":
+        """The same with shares (d, s, m) of the modes in a quantity at some degrees of freedom."""
         below = np.pad(self.shares, ((0, 0), (1, 0), (0, 0)))[:, :-1] * (quantity == "inter_storey_drift")
-        return (self.shares - below)[:, dofs]
+        return self._replace(shares=(self.shares - below)[:, dofs], quantity=quantity)
 
     def exponents(self, of: np.ndarray | None = None) -> dict[str, float]:
         """d ln f_1 / d ln(parameter) over the draws of positive parameters, or of other numbers (d,)."""

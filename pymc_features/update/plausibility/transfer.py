@@ -48,11 +48,11 @@ class Placement(NamedTuple):
     unexplained_swapped: float
 
 
-def transfer(f, prior, dofs, quantity, limits=(0.0, np.inf)) -> np.ndarray:
-    """Transfer functions (s, d, k) of draws, of a quantity at sensors against the motion of the base."""
+def transfer(f, prior, limits=(0.0, np.inf)) -> np.ndarray:
+    """Transfer functions (s, d, k) of draws at sensors, see `PriorModes.at_sensors`, against the base."""
     omega, natural = 2.0 * np.pi * f, 2.0 * np.pi * prior.frequencies[..., None]
-    ratios, shares = np.clip(prior.ratios, *limits), prior.at_sensors(dofs, quantity)
-    found = np.zeros((len(dofs), len(natural), f.size), complex)
+    ratios, shares, quantity = np.clip(prior.ratios, *limits), prior.shares, prior.quantity
+    found = np.zeros((shares.shape[1], len(natural), f.size), complex)
     for mode in range(natural.shape[1]):
         d = 1.0 / (natural[:, mode] ** 2 - omega**2 + 2.0j * ratios[:, mode, None] * natural[:, mode] * omega)
         found -= shares[:, :, mode].T[..., None] * d
@@ -88,7 +88,7 @@ def factor_of(identified, frequencies) -> tuple[float, int]:
     return best[2:]
 
 
-def scale_of(spectra, prior, dofs, quantity) -> Scale:
+def scale_of(spectra, prior) -> Scale:
     """Compare transforms of channels with draws of modes at the places of the sensors."""
     first, power, crosses, totals = log_spectra(spectra)
     reach = int(np.log(FARTHEST) / SPACING)
@@ -96,7 +96,7 @@ def scale_of(spectra, prior, dofs, quantity) -> Scale:
     grid = np.exp(SPACING * (np.arange(size) + first - reach))
     n_fft = 1 << int(np.ceil(np.log2(size + power.size)))
     at_power, explained = np.conj(np.fft.rfft(power, n_fft)), 0.0
-    for h, cross, whole in zip(transfer(grid, prior, dofs, quantity, RATIOS), crosses, totals, strict=True):
+    for h, cross, whole in zip(transfer(grid, prior, RATIOS), crosses, totals, strict=True):
         # sum over the data's frequencies of H(f / r) conj(cross), for shifts of H from -reach to reach
         along = np.fft.ifft(np.fft.fft(h, n_fft) * np.conj(np.fft.fft(cross, n_fft))).real[:, : 2 * reach + 1]
         total = np.fft.irfft(np.fft.rfft(np.abs(h) ** 2, n_fft) * at_power, n_fft)[:, : 2 * reach + 1]
@@ -106,19 +106,20 @@ def scale_of(spectra, prior, dofs, quantity) -> Scale:
     return Scale(factor, int(draw), float(explained.max()), float(explained[:, reach].max()))
 
 
-def placement(spectra, prior, dofs, quantity, factor=1.0) -> Placement:
+def placement(spectra, prior, factor=1.0) -> Placement:
     """Compare sensors with the modes of draws, near whose frequencies times a factor the data have theirs."""
-    prior = prior.few(FEW_DRAWS if len(dofs) > MANY_SENSORS else MOST_DRAWS)
-    left, _ = unexplained(flattened(spectra), prior, dofs, quantity, factor)
+    n = len(spectra.names)
+    prior = prior.few(FEW_DRAWS if n > MANY_SENSORS else MOST_DRAWS)
+    left, _ = unexplained(flattened(spectra), prior, factor)
     least = np.diagonal(left, axis1=-2, axis2=-1).mean(axis=-1)  # (shift, draw)
     swaps = {}
-    for i, j in combinations(range(len(dofs)), 2):
+    for i, j in combinations(range(n), 2):
         change = left[..., i, j] + left[..., j, i] - left[..., i, i] - left[..., j, j]
-        swaps[i, j] = float((least + change / len(dofs)).min())
+        swaps[i, j] = float((least + change / n).min())
     pair = min(swaps, key=swaps.get, default=None)
     if pair is not None and swaps[pair] < SWAPPED * least.min():
         return Placement(pair, (), float(least.min()), swaps[pair])
-    left, signs = unexplained(spectra, prior, dofs, quantity, factor)
+    left, signs = unexplained(spectra, prior, factor)
     own = np.diagonal(left, axis1=-2, axis2=-1)  # (shift, draw, sensor)
     best = np.unravel_index(own.mean(axis=-1).argmin(), own.shape[:2])
     inverted = np.flatnonzero((np.diagonal(signs[best]) < 0.0) & (own[best] < 1.0 - EXPLAINED))
@@ -136,11 +137,11 @@ def flattened(spectra):
     return spectra._replace(base=weight * spectra.base, sensors=weight * spectra.sensors)
 
 
-def unexplained(spectra, prior, dofs, quantity, factor) -> tuple[np.ndarray, np.ndarray]:
+def unexplained(spectra, prior, factor) -> tuple[np.ndarray, np.ndarray]:
     """Share left of each sensor at each place, and the sign that leaves it, (shift, draw, sensor, place)."""
     first, power, cross, total = log_spectra(spectra)
     grid = np.exp(SPACING * (np.arange(-REACH, power.size + REACH) + first)) / factor
-    h = transfer(grid, prior, dofs, quantity, OWN_RATIOS).swapaxes(0, 1)
+    h = transfer(grid, prior, OWN_RATIOS).swapaxes(0, 1)
     left, signs = [], []
     for shift in range(2 * REACH + 1):
         part = h[..., shift : shift + power.size]
@@ -151,12 +152,12 @@ def unexplained(spectra, prior, dofs, quantity, factor) -> tuple[np.ndarray, np.
     return np.array(left), np.array(signs)
 
 
-def lags_confirmed(spectra, prior, dofs, quantity, *, factor, delays) -> bool:
+def lags_confirmed(spectra, prior, *, factor, delays) -> bool:
     """Whether delays (s,) of sensors [s], taken back, bring them closer to the modes of draws."""
     least, prior = [], prior.few(FEW_DRAWS)
-    for taken in (np.zeros(len(dofs)), np.asarray(delays)):
+    for taken in (np.zeros(len(delays)), np.asarray(delays)):
         turned = spectra.sensors * np.exp(2.0j * np.pi * spectra.frequency * taken[:, None])
-        left, _ = unexplained(spectra._replace(sensors=turned), prior, dofs, quantity, factor)
+        left, _ = unexplained(spectra._replace(sensors=turned), prior, factor)
         least.append(np.diagonal(left, axis1=-2, axis2=-1).mean(axis=-1).min())
     return least[1] < least[0]
 
