@@ -313,7 +313,7 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
         expected = structure(**{name: config.priors[name].median for name in structure.names})
         if structure.has_modes:
             draws = {name: config.priors[name].draw for name in structure.names}
-            prior = prior_modes(structure, draws, expected, structure.modes)
+            prior = prior_modes(structure, draws, expected, lambda one: modes_of(one, structure.n_modes))
     problem = Problem(path, text, config, raw, structure, expected, prior)
     if prior is not None:
         for sentence in of_priors(prior, problem.units):

@@ -130,10 +130,6 @@ class StructureOf:
         self.kept = structure if self.is_kept else None
         return structure
 
-    def modes(self, structure):
-        """The lowest modes of one of them."""
-        return modes_of(structure, self.n_modes)
-
 
 def modes_of(structure, n_modes):
     """The lowest modes of a structure; of one without storeys at most ten, if it has no number."""
