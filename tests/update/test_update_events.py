@@ -252,7 +252,7 @@ REFUSED = {  # what is said: what is changed, into what
     "`events.change` must be a probability between 0 and 1, got 1.5": ("change = 0.01", "change = 1.5"),
     "`events.forgetting` must be a number above 0 and at most 1, got": ("change = 0.01", "forgetting = 0.0"),
     "`events.drift` must name priors of the file, got 'k9'": ("change = 0.01", "drift = { k9 = 5.0 }"),
-    "`events.drift` must be a table of priors to positive": ("change = 0.01", "drift = { k1 = -5.0 }"),
+    "`events.drift` must be a table of priors to deviations": ("change = 0.01", "drift = { k1 = -5.0 }"),
     "`likelihood.kinds` must not have CAL with .events.*Take NORM, TN, EXP,": ('["NORM"]', '["NORM", "CAL"]'),
     "`likelihood.kinds` must not have ABC with .events.": ('["NORM"]', '["EXP", "ABC"]'),
     "`sampler.method` must be \"auto\" with .events., got 'nuts'": ("draws = 100", 'method = "nuts"'),
@@ -265,7 +265,7 @@ REFUSED = {  # what is said: what is changed, into what
         '[data]\nbase = "base"\nsensors = ["floor1", "floor2", "floor3"]\n',
         MODES,
     ),
-    "`data` must have one of the keys `files` and `dataset`, got neither. Or name several events": (
+    "`data` must have one of the keys `files` and `dataset`, got neither. Or give .events.": (
         '[events]\nfolder = "events"\nchange = 0.01',
         "",
     ),

@@ -99,8 +99,8 @@ class Events(Responses):
                 "the prior of the next event."
             )
         if strangers := [name for name in config.events.drift if name not in config.priors]:
-            known = ", ".join(config.priors)
-            raise ConfigError(f"`events.drift` must name priors of {known}, got {shown(strangers[0])}.")
+            got = f"{shown(strangers[0])}. Known here: {', '.join(config.priors)}"
+            raise ConfigError(f"`events.drift` must name priors of the file, got {got}.")
 
     @classmethod
     def read(cls, problem):
