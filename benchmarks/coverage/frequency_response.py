@@ -1,9 +1,9 @@
-"""Intervals from hammer tests of a cantilever: right models, models with an error, windows, drifts, record lengths.
+"""Intervals from hammer tests of a cantilever: right models and wrong ones, windows, drifts, record lengths.
 
 Three points of a beam of 20 elements are hit five times each, two sensors listen, 1 % noise. The stiffness of
-both halves and the damping are sought. The truth is in closed form: all 40 modes follow blows of cos^4 shape at
-any instant, in time, from another assembly of the beam, by Gauss quadrature. Intervals are by quadrature over
-the errors of the model, with modes linear in the parameters.
+both halves and the damping are sought. The truth is in closed form: all 40 modes follow blows of cos^4 shape
+at any instant, in time, from another assembly of the beam, by Gauss quadrature. Intervals are by quadrature
+over the errors of the model, with modes linear in the parameters.
 """
 
 import time
@@ -38,9 +38,8 @@ def beam(factors=(1.0, 1.0), mass=None, spring=None):
     k, m = np.zeros((n, n)), np.zeros((n, n))
     points, weights = np.polynomial.legendre.leggauss(4)
     x, weights = 0.5 * (points + 1.0), 0.5 * h * weights
-    shape = np.array(
-        [1 - 3 * x**2 + 2 * x**3, h * (x - 2 * x**2 + x**3), 3 * x**2 - 2 * x**3, h * (x**3 - x**2)]
-    )
+    shape = [1 - 3 * x**2 + 2 * x**3, h * (x - 2 * x**2 + x**3), 3 * x**2 - 2 * x**3, h * (x**3 - x**2)]
+    shape = np.array(shape)
     bend = np.array([12 * x - 6, h * (6 * x - 4), 6 - 12 * x, h * (6 * x - 2)]) / h**2
     rigidity = (2.0 * np.pi * FIRST) ** 2 * LENGTH**4 / 1.8751040687**4
     for e in range(ELEMENTS):

@@ -138,8 +138,8 @@ def identify_modes(
 def tell_of_empty(limits) -> None:
     """Warn of a band without a mode."""
     tell(
-        f"the band {limits[0]:.4g} to {limits[1]:.4g} Hz has no mode: it is noise, or what comes in from beside "
-        "it. Leave it out."
+        f"the band {limits[0]:.4g} to {limits[1]:.4g} Hz has no mode: it is noise, or what comes in from "
+        "beside it. Leave it out."
     )
 
 

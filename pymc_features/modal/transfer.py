@@ -2,12 +2,13 @@
 
 At s = decay + 2 pi i f, the response a to inputs X_r is
 
-    Y_a = sum_n p_na sum_r p_nr X_r g_n + sum_r (c_ar + d_ar s^2) s^(q - 2) X_r,    g_n = s^q / (s^2 + 2 zeta_n w_n s + w_n^2),
+    Y_a = sum_n p_na sum_r p_nr X_r g_n + sum_r (c_ar + d_ar s^2) s^(q - 2) X_r,
+    g_n = s^q / (s^2 + 2 zeta_n w_n s + w_n^2),
 
-with q = 2 for accelerations, 1 for velocities, 0 for displacements. The real c and d stand for modes below and
-above the lines; they follow from the lines, and are integrated out. What a record that is cut at T lacks of a
-response to a blow is subtracted in closed form; of a record that neither begins nor ends at rest each mode has a
-free decay more, whose two amplitudes are fitted.
+with q = 2 for accelerations, 1 for velocities, 0 for displacements. The real c and d stand for modes far below
+and above the lines; they follow from the lines, and are integrated out, as are modes beside the lines. What a
+record that is cut at T lacks of a response to a blow is subtracted in closed form; of a record that neither
+begins nor ends at rest each mode has a free decay more, whose two amplitudes are fitted.
 
 The modes q = (ln w, ln zeta, p_r, p_a) are fitted once, by Gauss and Newton, to all lines. With their
 information matrix they stand for the data: ln L(q) = ln L(q_0) - (q - q_0)' Lambda (q - q_0) / 2.
@@ -227,7 +228,7 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
 
 
 def climbed(modes: TransferModes, experiments, lines, enough=ENOUGH):
-    """The most likely modes uphill from some, and `quadratic` there, by Levenberg's and Marquardt's method."""
+    """The most likely modes uphill, and `quadratic` there, by Levenberg's and Marquardt's method."""
     damping, here = 1e-3, quadratic(modes, experiments, lines)
     for _ in range(STEPS):
         _, _, gradient, information = here
@@ -299,7 +300,7 @@ def further_mode(modes: TransferModes, experiments, lines) -> TransferModes | No
 
 
 def are_seen(modes: TransferModes, experiments, lines: Lines) -> np.ndarray:
-    """Whether each mode is a peak among the lines (n,): the others stand for what is beside them, or are noise."""
+    """Whether each mode is a peak among the lines (n,); the others stand for what is beside, or are noise."""
     f, (low, high) = modes.natural / (2.0 * np.pi), lines.frequencies[[0, -1]]
     narrow = 2.0 * modes.ratios * f < NARROW * np.min(np.diff(lines.frequencies))
     at = np.abs(lines.frequencies - f[:, None]).argmin(axis=1)

@@ -1,4 +1,4 @@
-"""Modes identified from channels and their excitation: standard deviations, close modes, shakers and bases."""
+"""Modes identified from channels and their excitation: intervals, close modes, shakers and bases."""
 
 import numpy as np
 import pytest

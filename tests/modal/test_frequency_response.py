@@ -191,7 +191,7 @@ def test_a_population_is_each_by_itself(model):
 
 
 def test_draws_have_the_covariance_of_the_likelihood(model, data):
-    """Of 4,000 draws at fixed parameters, their mean squares within 6 sds; control: without errors of modes."""
+    """Mean squares of 4,000 draws at fixed parameters within 6 sds; control: without errors of modes."""
     with model:
         fixed = pm.do(
             model,
@@ -208,7 +208,7 @@ def test_draws_have_the_covariance_of_the_likelihood(model, data):
 
 @pytest.mark.statistical
 def test_resolution_does_not_narrow_the_posterior():
-    """It holds the truth within 4 sds, and is as wide, within 15 %, from every fourth line. Control: by lines alone not."""
+    """It holds the truth and is as wide, within 15 %, from every fourth line. Control: by lines alone not."""
     errors = {"sigma_f": 0.005, "sigma_zeta": 0.05, "sigma_phi": 0.02}
     ratios = []
     for settings in (errors, {"model_error": None}):
@@ -228,7 +228,7 @@ def test_resolution_does_not_narrow_the_posterior():
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["right model, lines alone", "errors of modes, 2 s"])
 def test_coverage(case):
-    """Of 3 intervals in 30 tests 80 to 98 %: beyond in one of 300 where they hold 90. Control: a third as wide."""
+    """Three intervals of 30 tests, in 78 to 99 %: beyond that in one of 300 where they hold in 90 %."""
     inside, widths = map(np.array, zip(*(one(case, seed) for seed in range(30)), strict=True))
     assert 0.78 < inside.mean() < 0.99
 
