@@ -2,7 +2,8 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -88,98 +89,73 @@ class ModalData:
     labels: np.ndarray | None = None
 
     def __post_init__(self):
-        self._set("frequencies", self._checked_frequencies())
-        self._set("channels", self._checked_channels())
-        self._set("name", check_title(self.name))
-        if self.shapes is not None:
-            self._set("shapes", self._checked_shapes())
-        for name in _LIMITS:
-            if getattr(self, name) is not None:
-                self._set(name, self._checked_numbers(name))
-        if self.labels is not None:
-            self._set("labels", self._checked_labels())
+        checks = {"frequencies": self._frequencies, "channels": self._channels, "name": check_title}
+        checks |= {"shapes": self._shapes, **{name: partial(self._numbers, name) for name in _LIMITS}}
+        checks |= {"labels": self._labels}
+        for name, check in checks.items():
+            value = getattr(self, name)
+            if value is not None or name in ("frequencies", "channels", "name"):
+                object.__setattr__(self, name, check(value))
 
-    def _set(self, name, value):
-        object.__setattr__(self, name, value)
-
-    def _checked_frequencies(self):
-        values = as_numbers(self.frequencies, "frequencies", "Pass Hz, or read files with `read_modal`.")
+    def _frequencies(self, given):
+        values = as_numbers(given, "frequencies", "Pass Hz, or read files with `read_modal`.")
         if values.ndim != 1 or values.size == 0:
-            raise ValueError(
-                f"`frequencies` must have shape (m,) with at least one mode, got {values.shape}. Pass one "
-                "frequency [Hz] for each mode."
-            )
+            what = "`frequencies` must have shape (m,) with at least one mode"
+            raise refusal(what, values.shape, "Pass one frequency [Hz] for each mode.")
         check_finite(values, "frequencies", "Leave the mode out.")
         if not (values > 0.0).all():
             mode = int(np.argmin(values > 0.0))
-            raise ValueError(
-                f"`frequencies` must be positive, got {values[mode]} Hz of mode {mode}. Leave out modes of a "
-                "rigid body."
-            )
+            got = f"{values[mode]} Hz of mode {mode}"
+            raise refusal("`frequencies` must be positive", got, "Leave out modes of a rigid body.")
         return values
 
-    def _checked_labels(self):
+    def _labels(self, given):
         what = f"{len(self)} names, one for each mode"
-        given = as_list(self.labels)
-        if given is None or not all(isinstance(label, str) or is_number(label) for label in given):
-            raise TypeError(message("labels", what, shown(self.labels)))
-        if len(given) != len(self):
-            raise ValueError(message("labels", what, len(given)))
-        return np.array([label if isinstance(label, str) else check_title(label) for label in given])
+        names = _names(given, "labels", what)
+        if len(names) != len(self):
+            raise ValueError(message("labels", what, len(names)))
+        return np.array(names)
 
-    def _checked_channels(self):
-        given = as_list(self.channels)
-        if given is None or not all(isinstance(name, str) or is_number(name) for name in given):
-            raise TypeError(message("channels", "a sequence of names", shown(self.channels)))
-        names = tuple((name if isinstance(name, str) else check_title(name)).strip() for name in given)
+    def _channels(self, given):
+        names = tuple(name.strip() for name in _names(given, "channels", "a sequence of names"))
         if "" in names:
-            raise ValueError(f"`channels` must have a name each, got none at index {names.index('')}.")
+            raise refusal("`channels` must have a name each", f"none at index {names.index('')}")
         twice = [name for name, count in Counter(names).items() if count > 1]
         if twice:
-            raise ValueError(
-                f"`channels` must have different names, got {', '.join(twice[:5])} more than once. Rename or "
-                "leave out one of each."
-            )
+            got = f"{', '.join(twice[:5])} more than once"
+            raise refusal("`channels` must have different names", got, "Rename or leave out one of each.")
         if self.shapes is None and names:
-            raise ValueError(
-                f"`channels` must be left out without `shapes`, got {len(names)} names. Pass the shapes too."
-            )
+            got = f"{len(names)} names"
+            raise refusal("`channels` must be left out without `shapes`", got, "Pass the shapes too.")
         return names
 
-    def _checked_shapes(self):
-        values = as_numbers(self.shapes, "shapes", allow_complex=True)
+    def _shapes(self, given):
+        values = as_numbers(given, "shapes", allow_complex=True)
         shape = self.frequencies.size, len(self.channels)
         if values.shape != shape or 0 in shape:
-            turned = values.shape == shape[::-1]
-            advice = (
-                "Transpose it: the first axis is the mode."
-                if turned
-                else "Pass a name for each channel and a frequency for each mode."
-            )
-            raise ValueError(
-                f"`shapes` must have shape (mode, channel) = {shape}, got {values.shape}. {advice}"
-            )
+            advice = "Pass a name for each channel and a frequency for each mode."
+            if values.shape == shape[::-1]:
+                advice = "Transpose it: the first axis is the mode."
+            raise refusal(f"`shapes` must have shape (mode, channel) = {shape}", values.shape, advice)
         if np.isinf(values).any():
-            raise ValueError(
-                "`shapes` must be finite, or NaN where nothing was measured, got infinity. Correct it first."
-            )
-        moving = ((values != 0.0) & ~np.isnan(values)).any(axis=1)
+            what = "`shapes` must be finite, or NaN where nothing was measured"
+            raise refusal(what, "infinity", "Correct it first.")
+        moving = np.nan_to_num(values).any(axis=1)
         if not moving.all():
             mode = int(np.argmin(moving))
-            raise ValueError(
-                f"`shapes` must have an entry that is not zero in each mode, got none in mode {mode} "
-                f"({self.frequencies[mode]:.4g} Hz). Leave the mode out."
-            )
+            got = f"none in mode {mode} ({self.frequencies[mode]:.4g} Hz)"
+            what = "`shapes` must have an entry that is not zero in each mode"
+            raise refusal(what, got, "Leave the mode out.")
         return values
 
-    def _checked_numbers(self, name):
-        values, wanted = as_numbers(getattr(self, name), name), self.frequencies.shape
-        what = f"shape (mode,) = {wanted}"
+    def _numbers(self, name, given):
+        values, wanted, what = as_numbers(given, name), self.frequencies.shape, "shape (mode,) = {}"
         if name == "shape_sd":
-            wanted = None if self.shapes is None else self.shapes.shape
-            what = f"the shape of `shapes`, {wanted}"
+            wanted, what = None if self.shapes is None else self.shapes.shape, "the shape of `shapes`, {}"
         if values.shape != wanted:
-            raise ValueError(f"`{name}` must have {what}, got {values.shape}. Pass one for each mode.")
+            raise refusal(
+                f"`{name}` must have {what.format(wanted)}", values.shape, "Pass one for each mode."
+            )
         if name == "frequency_sd":
             check_finite(values, name, "Leave it out if some are not known.")
         least, below, condition, advice = _LIMITS[name]
@@ -225,7 +201,7 @@ class ModalData:
         """
         if not self.is_complex:
             return self
-        return self._with(shapes=np.array([real_shape(shape) for shape in self.shapes]))
+        return replace(self, shapes=np.array([real_shape(shape) for shape in self.shapes]))
 
     def select(
         self, modes: Sequence[int] | None = None, channels: Sequence[str] | None = None
@@ -244,26 +220,32 @@ class ModalData:
         ValueError, TypeError
             If there is no such mode or channel.
         """
-        rows = range(len(self)) if modes is None else [_index(mode, len(self)) for mode in modes]
-        columns = slice(None)
+        rows = [_index(mode, len(self)) for mode in (range(len(self)) if modes is None else modes)]
+        columns = list(range(len(self.channels)))
         if channels is not None:
             self._demand_shapes()
             columns = find_channels(channels, self.channels, "these modes")
-        chosen = {}
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if isinstance(value, np.ndarray):
-                value = value[list(rows)]
-                chosen[entry.name] = value[:, columns] if value.ndim == 2 else value
-        names = self.channels if channels is None else [self.channels[index] for index in columns]
-        return self._with(channels=names, **chosen)
-
-    def _with(self, **changed):
-        return type(self)(**({entry.name: getattr(self, entry.name) for entry in fields(self)} | changed))
+        arrays = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        chosen = {name: a[rows] for name, a in arrays.items() if isinstance(a, np.ndarray)}
+        chosen = {name: a[:, columns] if a.ndim == 2 else a for name, a in chosen.items()}
+        return replace(self, channels=[self.channels[index] for index in columns], **chosen)
 
     def _demand_shapes(self):
         if self.shapes is None:
             raise ValueError("`shapes` must be there for this, got frequencies alone. Read them as well.")
+
+
+def refusal(what: str, got, advice: str = "") -> ValueError:
+    """The error that says what must be, what there is instead, and what to do."""
+    return ValueError(f"{what}, got {got}.{' ' if advice else ''}{advice}")
+
+
+def _names(value, name: str, what: str) -> list[str]:
+    """Texts, and numbers as texts."""
+    given = as_list(value)
+    if given is None or not all(isinstance(label, str) or is_number(label) for label in given):
+        raise TypeError(message(name, what, shown(value)))
+    return [label if isinstance(label, str) else check_title(label) for label in given]
 
 
 def find_channels(wanted: Sequence[str], names: Sequence[str], where: str) -> list[int]:
@@ -273,10 +255,8 @@ def find_channels(wanted: Sequence[str], names: Sequence[str], where: str) -> li
     places = {name: index for index, name in enumerate(names)}
     unknown = [name for name in wanted if name not in places]
     if unknown:
-        raise ValueError(
-            f"`channels` must be among those of {where} ({listed(names)}), got {unknown[0]!r}. Pass one of "
-            "these names."
-        )
+        what = f"`channels` must be among those of {where} ({listed(names)})"
+        raise refusal(what, repr(unknown[0]), "Pass one of these names.")
     return [places[name] for name in wanted]
 
 
@@ -317,10 +297,9 @@ def mac(shapes: ArrayLike, others: ArrayLike) -> np.ndarray:
     shapes = as_numbers(shapes, "shapes", "Give one shape in each row.", allow_complex=True)
     others = as_numbers(others, "others", "Give one shape in each row.", allow_complex=True)
     if shapes.ndim != 2 or others.ndim != 2 or shapes.shape[1] != others.shape[1]:
-        raise ValueError(
-            f"`shapes` and `others` must have rows of equal length, got shapes {shapes.shape} and "
-            f"{others.shape}. Give one shape in each row, at the same channels."
-        )
+        got = f"shapes {shapes.shape} and {others.shape}"
+        advice = "Give one shape in each row, at the same channels."
+        raise refusal("`shapes` and `others` must have rows of equal length", got, advice)
     one, two = ~np.isnan(shapes), ~np.isnan(others)
     a, b = (np.where(known, x, 0.0) for known, x in ((one, shapes), (two, others)))
     # squares of tiny or huge entries would leave the range of numbers
