@@ -137,6 +137,10 @@ TABLES = {
     "modes.csv must have .frequency. .Hz., .omega. .rad/s. or .eigenvalue. .*": ("f1,roof\n1.0,2.0\n", {}),
     "modes.csv: units must be hz, rad/s, got 'frequency .kHz.'": ("frequency [kHz],roof\n1.0,2.0\n", {}),
     "modes.csv: channels must have different names, got roof more than": ("frequency,roof,roof\n1,2,3\n", {}),
+    "the standard deviation of a must be there once, got 'a_sd' and 'a std'": (
+        "frequency,a,a_sd,a std\n1,2,3,4\n",
+        {},
+    ),
     "modes.csv: columns must have names, number 3 of the header has none": ("frequency,roof,\n1,2,3\n", {}),
     "frequency must be there once, got 'frequency' and 'Frequency": ("frequency,Frequency [Hz]\n1,1\n", {}),
     "frequency and omega must agree, got 6.283 and 1 Hz of the": ("frequency,omega\n6.2832,6.2832\n", {}),

@@ -6,12 +6,11 @@ from os import PathLike
 from pathlib import Path
 
 import h5py
-import numpy as np
 
 from pymc_features._checks import check_file, check_flag, check_texts
 from pymc_features.io.formats.libraries import is_universal
 from pymc_features.io.reading.recording import Opening
-from pymc_features.modal import ModalData
+from pymc_features.modal.data import ModalData, refusal
 from pymc_features.modal.files.quantities import check_names, modal_data
 from pymc_features.modal.files.table import read_table
 from pymc_features.modal.files.universal import read_universal
@@ -93,19 +92,17 @@ def read_modal(
         channels = check_texts(channels, "channels", "a sequence of names, or a mapping of names to channels")
     if isinstance(source, str | PathLike):
         path = check_file(source, "source")
-        return modal_data(_read_file(path, asked, channels), channels, real)
+        return modal_data(path.name, _read_file(path, asked, channels), channels, real)
     if is_oma(source):
         _refuse_names(asked, "a result of pyOMA2")
-        return modal_data(read_oma(source), channels, real)
+        return modal_data(type(source).__name__, read_oma(source), channels, real)
     if isinstance(source, Mapping):
-        return modal_data(from_variables(source, "`source`", asked), channels, real)
-    raise TypeError(
-        f"`source` must be a path, a mapping of arrays or a result of pyOMA2, got {type(source).__name__}. "
-        "Make a `modal.ModalData` of arrays."
-    )
+        return modal_data("`source`", from_variables(source, "`source`", asked), channels, real)
+    what = "`source` must be a path, a mapping of arrays or a result of pyOMA2"
+    raise TypeError(f"{what}, got {type(source).__name__}. Make a `modal.ModalData` of arrays.")
 
 
-def _read_file(path: Path, names: dict[str, str], channels):
+def _read_file(path: Path, names: dict[str, str], channels) -> dict:
     """The modes in a file, whose kind is known by its first bytes."""
     opening = Opening.of(path)
     if opening.suffix == ".mat" or opening.head.startswith(b"MATLAB ") or h5py.is_hdf5(path):
@@ -115,23 +112,12 @@ def _read_file(path: Path, names: dict[str, str], channels):
         return read_universal(path)
     if opening.head.removeprefix(codecs.BOM_UTF8).lstrip()[:1] in (b"{", b"["):
         return read_json_modes(path, names)
-    return read_table(path, names, _wanted(channels))
+    wanted = list(channels.values()) if isinstance(channels, Mapping) else channels
+    by_name = isinstance(wanted, list) and all(isinstance(name, str) for name in wanted)
+    return read_table(path, names, wanted if by_name else None)
 
 
 def _refuse_names(names: dict[str, str], what: str) -> None:
     if names:
-        raise ValueError(
-            f"`names` must be left out, got {', '.join(names)}: {what} says itself what its numbers are. "
-            "Leave it out."
-        )
-
-
-def _wanted(channels) -> list | None:
-    """Names in the file of the columns that are channels, None if all others are."""
-    if isinstance(channels, Mapping):
-        asked = list(channels.values())
-    elif isinstance(channels, Sequence | np.ndarray) and not isinstance(channels, str):
-        asked = list(channels)
-    else:
-        return None
-    return asked if all(isinstance(name, str) for name in asked) else None
+        got = f"{', '.join(names)}: {what} says itself what its numbers are"
+        raise refusal("`names` must be left out", got, "Leave it out.")

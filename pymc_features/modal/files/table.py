@@ -23,11 +23,10 @@ import numpy as np
 
 from pymc_features.io.reading.labels import without_brackets
 from pymc_features.io.reading.lines import LONGEST_NUMBER, Lines, to_number
-from pymc_features.modal.data import find_channels, listed
+from pymc_features.modal.data import find_channels, listed, refusal
 from pymc_features.modal.files.quantities import (
     ALIKE,
     SPREADS,
-    Identified,
     labelled_quantities,
     mode_values,
     quantity_of,
@@ -36,15 +35,15 @@ from pymc_features.modal.files.quantities import (
 SEPARATORS = ("\t", ";", ",")
 QUANTITIES = [
     "mode",
-    "frequency",
-    "freq",
-    "damping",
-    "omega",
-    "eigenvalue",
-    "zeta",
+    "order",
     "shape",
     "shapes",
-    "order",
+    "frequency",
+    "freq",
+    "omega",
+    "eigenvalue",
+    "damping",
+    "zeta",
 ]
 COMMENTS = ("#", "%", "//")
 #: What tables of identifications have beside shapes, without blanks and brackets, in lower case.
@@ -56,74 +55,58 @@ _OF_MODE = re.compile(r"(?:f|freq|frequency|mode)[ _]?(\d+)(?:[ _]?(?:\[hz\]|\(h
 _COMPLEX = re.compile(r"([-+]?[^-+ij]+(?:[eE][-+]?\d+)?)([-+][^-+ij]+(?:[eE][-+]?\d+)?)[ij]", re.ASCII)
 
 
-def read_table(path: Path, names: dict[str, str], wanted: list | None) -> Identified:
+def read_table(path: Path, names: dict[str, str], wanted: list | None) -> dict:
     """The modes of a table; `names` is what it calls quantities, `wanted` its channels, if not all others."""
-    lines = Lines(path)
-    rows = ((number, line) for number, line in lines if not line.startswith(COMMENTS))
-    first = next(rows, None)
+    file, lines = path.name, Lines(path)
+    rows = ((f"{file}, line {number}", line) for number, line in lines if not line.startswith(COMMENTS))
+    where, first = next(rows, ("", None))
     if first is None:
-        raise ValueError(
-            f"{path.name} must hold modes, it is empty. Save a row for each mode, below a header."
-        )
-    separator = next((mark for mark in SEPARATORS if mark in first[1]), ",")
-    header = _cells(first[1], separator, f"{path.name}, line {first[0]}")
-    _check_header(path.name, header, rows, separator)
+        raise ValueError(f"{file} must hold modes, it is empty. Save a row for each mode, below a header.")
+    separator = next((mark for mark in SEPARATORS if mark in first), ",")
+    header = _cells(first, separator, where)
+    _check_header(file, header)
+    body = _rows(rows, separator, len(header))
+    below = "{} must hold modes, there is none below its header. Add a row for each {}."
     of_modes = {k: match[1] for k, label in enumerate(header) if (match := _OF_MODE.fullmatch(label))}
-    if len(of_modes) > 1 and not names:
-        return _tests(path.name, header, of_modes, rows, separator)
-    places = labelled_quantities(header, names, path.name)
+    if len(of_modes) > 1 and not names:  # a row for each test
+        labels = {label: k for k, label in of_modes.items()}
+        columns, count = _columns(body, header, [*labels.values()], entries=())[:2]
+        table = np.array([columns[k] for k in labels.values()]).T
+        there = ~np.isnan(table)
+        if not there.any():
+            raise ValueError(below.format(file, "test"))
+        return {"frequencies": table[there], "labels": np.tile(list(labels), (count, 1))[there].tolist()}
+    places = labelled_quantities(header, names, file)
     whole = sorted({"shapes", "shape_sd", "shapes_imaginary", "channels"} & places.keys())
     if whole:
-        raise ValueError(
-            f"{path.name}: each channel must have a column of its own, got {header[places[whole[0]]]!r} for "
-            f"{whole[0]}. Rename it after its channel."
-        )
-    channels, spreads = _channels(path.name, header, places, wanted)
-    quantities = {name: place for name, place in places.items() if name != "mode"}
-    columns = {place: [] for of in (quantities, channels, spreads) for place in of.values()}
-    entries = set(channels.values())
-    labels = []
-    for where, cells in _rows(path.name, rows, separator, len(header)):
-        labels.append(cells[places["mode"]] if "mode" in places else "")
-        for place in columns:
-            columns[place].append(_number(cells[place], header[place], where, place in entries))
-    if not labels:
-        raise ValueError(
-            f"{path.name} must hold modes, there is none below its header. Add a row for each mode."
-        )
-    values = mode_values({name: np.array(columns[place]) for name, place in quantities.items()}, path.name)
-    return Identified(
-        path.name,
-        *values,
-        shapes=_matrix(columns, channels),
-        shape_sd=_matrix(columns, {name: spreads.get(name) for name in channels}) if spreads else None,
-        channels=list(channels) or None,
-        labels=labels if len(set(labels)) < len(labels) and "" not in labels else None,
-    )
+        got = f"{header[places[whole[0]]]!r} for {whole[0]}"
+        what = f"{file}: each channel must have a column of its own"
+        raise refusal(what, got, "Rename it after its channel.")
+    channels, spreads = _channels(file, header, places, wanted)
+    mode = places.pop("mode", None)
+    needed = [*places.values(), *channels.values(), *spreads.values()]
+    columns, count, labels = _columns(body, header, needed, {*channels.values()}, mode)
+    if not count:
+        raise ValueError(below.format(file, "mode"))
+    found = mode_values({name: np.array(columns[place]) for name, place in places.items()}, file)
+    if len(set(labels)) < count and mode is not None and "" not in labels:
+        found["labels"] = labels
+    if channels:
+        found["channels"] = list(channels)
+        found["shapes"] = np.array([columns[place] for place in channels.values()]).T
+    if channels and spreads:
+        unknown = [np.nan] * count
+        found["shape_sd"] = np.array([columns.get(spreads.get(name), unknown) for name in channels]).T
+    return found
 
 
-def _tests(file: str, header, of_modes: dict[int, str], rows, separator: str) -> Identified:
-    """The modes of a table with a row for each test, its frequencies [Hz] in columns with these labels."""
-    found = []
-    for where, cells in _rows(file, rows, separator, len(header)):
-        values = {label: _number(cells[k], header[k], where, False) for k, label in of_modes.items()}
-        found += [(value, label) for label, value in values.items() if not np.isnan(value)]
-    if not found:
-        raise ValueError(f"{file} must hold modes, there is none below its header. Add a row for each test.")
-    frequencies, labels = zip(*found, strict=True)
-    return Identified(file, np.array(frequencies), labels=list(labels))
-
-
-def _rows(file: str, rows, separator: str, count: int) -> Iterator[tuple[str, list[str]]]:
+def _rows(rows, separator: str, count: int) -> Iterator[tuple[str, list[str]]]:
     """Place and cells of each row, as many as the header has."""
-    for number, line in rows:
-        where = f"{file}, line {number}"
+    for where, line in rows:
         cells = _cells(line, separator, where)
         if len(cells) != count:
-            raise ValueError(
-                f"{where}: rows must have {count} cells like the header, got {len(cells)}. Complete or cut "
-                "the row; a decimal comma must be a point."
-            )
+            advice = "Complete or cut the row; a decimal comma must be a point."
+            raise refusal(f"{where}: rows must have {count} cells like the header", len(cells), advice)
         yield where, cells
 
 
@@ -131,20 +114,28 @@ def _cells(line: str, separator: str, where: str) -> list[str]:
     try:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
     except csv.Error as error:
-        raise ValueError(
-            f"{where}: cells must be separated by {separator!r}, got {error}. Correct the line."
-        ) from None
+        what = f"{where}: cells must be separated by {separator!r}"
+        raise refusal(what, error, "Correct the line.") from None
 
 
-def _check_header(file: str, header: list[str], rows, separator: str) -> None:
+def _columns(body, header, needed, entries, mode=None) -> tuple[dict[int, list], int, list[str]]:
+    """Numbers in the columns that are needed, how many rows there are, and the texts of the column `mode`."""
+    columns, labels = {place: [] for place in needed}, []
+    for where, cells in body:
+        labels.append("" if mode is None else cells[mode])
+        for place, numbers in columns.items():
+            numbers.append(_number(cells[place], header[place], where, place in entries))
+    return columns, len(labels), labels
+
+
+def _check_header(file: str, header: list[str]) -> None:
     """Refuse a table without names, and one with a column for each mode."""
     if to_number(header[0]) is not None:
-        raise ValueError(
-            f"{file} must have the names of its columns in the first line, got the number {header[0]!r}. "
-            "Write them above the numbers, frequency among them."
-        )
-    labels = [label for label in header[1:] if to_number(label) is None]
-    if len(header) > 1 and not labels and quantity_of(header[0], file) is not None:
+        what = f"{file} must have the names of its columns in the first line"
+        advice = "Write them above the numbers, frequency among them."
+        raise refusal(what, f"the number {header[0]!r}", advice)
+    named = any(to_number(label) is None for label in header[1:])
+    if len(header) > 1 and not named and quantity_of(header[0], file) is not None:
         raise ValueError(
             f"{file} must have a row for each mode and a column for each channel, its first line begins with "
             f"{header[0]!r} and goes on with numbers. Transpose the table."
@@ -153,68 +144,44 @@ def _check_header(file: str, header: list[str], rows, separator: str) -> None:
 
 def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[str, int]]:
     """Columns of the channels, and of the standard deviations of their entries, by name of the channel."""
-    rest = [(index, label) for index, label in enumerate(header) if index not in places.values()]
+    named = [(without_brackets(label) or label, k) for k, label in enumerate(header)]
+    named = [(name, k) for name, k in named if k not in places.values()]
     if wanted is None:
-        rest = [(index, label) for index, label in rest if not INDICATORS.fullmatch(plain(label))]
+        named = [entry for entry in named if not INDICATORS.fullmatch(re.sub("[ _.-]", "", entry[0].lower()))]
     else:
-        find_channels(wanted, [without_brackets(label) or label for _, label in rest], file)
-        names = set(wanted)
-        rest = [(index, label) for index, label in rest if _is_wanted(label, names)]
-    bare = [without_brackets(label) or label for _, label in rest]
-    if "" in bare:
-        index = rest[bare.index("")][0]
-        raise ValueError(
-            f"{file}: columns must have names, number {index + 1} of the header has none. Add one."
-        )
-    twice = [name for name, count in Counter(bare).items() if count > 1]
+        find_channels(wanted, [name for name, _ in named], file)
+        asked = set(wanted)
+        named = [entry for entry in named if not asked.isdisjoint((entry[0], _of_spread(entry[0])))]
+    counts = Counter(name for name, _ in named)
+    if "" in counts:
+        k = next(k for name, k in named if not name)
+        raise ValueError(f"{file}: columns must have names, number {k + 1} of the header has none. Add one.")
+    twice = [name for name, count in counts.items() if count > 1]
     if twice:
-        raise ValueError(
-            f"{file}: channels must have different names, got {listed(twice)} more than once. Rename or "
-            "leave out one of each."
-        )
-    named = dict(zip(bare, (index for index, _ in rest), strict=True))
-    spreads = {}
-    for name in bare:
-        base, end = _of_spread(name)
-        if end and base in named:
-            spreads[base] = named[name]
-        elif wanted is None and (end or (close := get_close_matches(name.lower(), QUANTITIES, 1, ALIKE))):
-            meant = f"a standard deviation of {base}, which is no column" if end else f"{close[0]}, misspelt"
+        what, advice = f"{file}: channels must have different names", "Rename or leave out one of each."
+        raise refusal(what, f"{listed(twice)} more than once", advice)
+    channels, spreads = dict(named), {}
+    for name, place in named:
+        base = _of_spread(name)
+        if base in spreads:
+            what = f"{file}: the standard deviation of {base} must be there once"
+            raise refusal(what, f"{header[spreads[base]]!r} and {name!r}", "Leave out one of them.")
+        if base in counts:
+            spreads[base] = place
+            del channels[name]
+        elif wanted is None and (base or (close := get_close_matches(name.lower(), QUANTITIES, 1, ALIKE))):
+            meant = f"a standard deviation of {base}, which is no column" if base else f"{close[0]}, misspelt"
             raise ValueError(
                 f"{file}: the column {name!r} must be a channel, it looks like {meant}. Rename it, or name "
                 "those that are channels by `channels`."
             )
-    taken = set(spreads.values())
-    channels = {name: index for name, index in named.items() if index not in taken}
     return channels, spreads
 
 
-def plain(label: str) -> str:
-    """A label without blanks, marks and brackets, in lower case."""
-    return re.sub(r"[ _.-]", "", (without_brackets(label) or label).lower())
-
-
-def _of_spread(name: str) -> tuple[str, bool]:
-    """What a column is the standard deviation of: `roof` of "roof_sd" and "roof std"; else its own name."""
+def _of_spread(name: str) -> str | None:
+    """What a column is the standard deviation of: `roof` of "roof_sd" and "roof std"; None of others."""
     base, _, end = re.sub(r"[ -](?=\w+$)", "_", name).rpartition("_")
-    is_spread = bool(base) and end.lower() in SPREADS
-    return (name[: len(base)], True) if is_spread else (name, False)
-
-
-def _is_wanted(label: str, wanted: set[str]) -> bool:
-    name = without_brackets(label) or label
-    base, is_spread = _of_spread(name)
-    return name in wanted or (is_spread and base in wanted)
-
-
-def _matrix(columns, places: dict) -> np.ndarray | None:
-    """Entries (mode, channel); NaN in the columns that are not there."""
-    if not places:
-        return None
-    length = len(next(iter(columns.values())))
-    return np.array(
-        [columns[place] if place is not None else [np.nan] * length for place in places.values()]
-    ).T
+    return name[: len(base)] if base and end.lower() in SPREADS else None
 
 
 def _number(cell: str, label: str, where: str, may_be_complex: bool):
@@ -226,8 +193,6 @@ def _number(cell: str, label: str, where: str, may_be_complex: bool):
         number = None if None in numbers else complex(*numbers)
     if number is None:
         shown = cell if len(cell) <= 60 else f"{cell[:60]}..."
-        raise ValueError(
-            f"{where}: the column {label!r} must hold numbers, got {shown!r}. Correct it, or leave the "
-            "column out by `channels`."
-        )
+        advice = "Correct it, or leave the column out by `channels`."
+        raise refusal(f"{where}: the column {label!r} must hold numbers", repr(shown), advice)
     return number

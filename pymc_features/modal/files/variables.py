@@ -23,32 +23,23 @@ import numpy as np
 
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.reading.lines import decoded, shortened
-from pymc_features.modal.data import listed
-from pymc_features.modal.files.quantities import (
-    ALIKE,
-    NAMES,
-    Identified,
-    labelled_quantities,
-    mode_values,
-    quantity_of,
-)
+from pymc_features.modal.data import listed, refusal
+from pymc_features.modal.files.quantities import ALIKE, NAMES, labelled_quantities, mode_values, quantity_of
 
 MOST_JSON = 64 * 2**20  # bytes
 
 
-def read_mat_modes(path: Path, names: dict[str, str]) -> Identified:
+def read_mat_modes(path: Path, names: dict[str, str]) -> dict:
     """Modes in the variables of a .mat file of any version."""
     return from_variables(load_variables(path), path.name, names)
 
 
-def read_json_modes(path: Path, names: dict[str, str]) -> Identified:
+def read_json_modes(path: Path, names: dict[str, str]) -> dict:
     """Modes in the object of a JSON file."""
     size = path.stat().st_size
     if size > MOST_JSON:
-        raise ValueError(
-            f"{path.name} must have at most {MOST_JSON // 2**20} MiB, got {size} bytes. Save the modes "
-            "alone, or as .mat."
-        )
+        what = f"{path.name} must have at most {MOST_JSON // 2**20} MiB"
+        raise refusal(what, f"{size} bytes", "Save the modes alone, or as .mat.")
     try:
         found = json.loads(decoded(path.read_bytes()), object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
@@ -56,10 +47,8 @@ def read_json_modes(path: Path, names: dict[str, str]) -> Identified:
             f"{path.name} must be a JSON file, it cannot be read ({shortened(error)}). Correct it."
         ) from None
     if not isinstance(found, dict):
-        raise ValueError(
-            f"{path.name} must hold one JSON object of named arrays, got a {type(found).__name__}. Give them "
-            "names, frequency among them."
-        )
+        what = f"{path.name} must hold one JSON object of named arrays"
+        raise refusal(what, f"a {type(found).__name__}", "Give them names, frequency among them.")
     for key in found:
         close = get_close_matches(key.lower(), NAMES, 1, ALIKE)
         if (close or not key) and key not in names.values() and quantity_of(key, path.name) is None:
@@ -78,75 +67,55 @@ def _once(pairs: list) -> dict:
     return found
 
 
-def from_variables(variables: Mapping, source: str, names: dict[str, str]) -> Identified:
+def from_variables(variables: Mapping, source: str, names: dict[str, str]) -> dict:
     """Modes in a mapping of names to arrays."""
-    labels = [str(label) for label in variables]
-    contents = list(variables.values())
-    inside = [label for label, value in zip(labels, contents, strict=True) if isinstance(value, Mapping)]
-    if inside and len(inside) == len(labels):
-        raise ValueError(
-            f"{source} must hold named arrays, got objects inside: {listed(inside)}. Pass one of these, read "
-            "by yourself, instead of the file."
-        )
+    labels, contents = [str(label) for label in variables], list(variables.values())
+    if labels and all(isinstance(value, Mapping) for value in contents):
+        what, advice = f"{source} must hold named arrays", "Pass one of these, read by yourself, instead of"
+        raise refusal(what, f"objects inside: {listed(labels)}", f"{advice} the file.")
     places = labelled_quantities(labels, names, source)
-    found = {name: contents[place] for name, place in places.items() if name != "mode"}
-    values = mode_values(found, source)
-    count = values.frequencies.size
-    shapes = _matrix(found, "shapes", count, source)
-    if "shapes_imaginary" in found:
-        imaginary = _matrix(found, "shapes_imaginary", count, source)
-        if shapes is None or shapes.shape != imaginary.shape or shapes.dtype.kind == "c":
-            raise ValueError(
-                f"{source}: shapes_imaginary must stand beside real shapes of its size, got other ones. Save "
-                "both parts."
-            )
-        shapes = shapes + 1j * imaginary
-    return Identified(
-        source,
-        *values,
-        shapes=shapes,
-        shape_sd=_matrix(found, "shape_sd", count, source),
-        channels=_names(found.get("channels"), source),
+    given = {name: contents[place] for name, place in places.items() if name != "mode"}
+    found = mode_values(given, source)
+    matrices = ("shapes", "shapes_imaginary", "shape_sd")
+    count = found["frequencies"].size
+    shapes, imaginary, found["shape_sd"] = (
+        _matrix(given[name], name, count, source) if name in given else None for name in matrices
     )
+    if imaginary is not None:
+        if shapes is None or shapes.shape != imaginary.shape or shapes.dtype.kind == "c":
+            what = f"{source}: shapes_imaginary must stand beside real shapes of its size"
+            raise refusal(what, "other ones", "Save both parts.")
+        shapes = shapes + 1j * imaginary
+    found["shapes"] = shapes
+    if (channels := given.get("channels")) is not None:  # a list, or the rows of a text
+        found["channels"] = np.ravel(np.asarray(channels, dtype=object)).tolist()
+        if not all(isinstance(name, str) for name in found["channels"]):
+            got = type(channels).__name__
+            raise refusal(f"{source}: channels must be texts", got, "Pass `channels` instead.")
+    return found
 
 
-def _matrix(found, name: str, n_modes: int, source: str) -> np.ndarray | None:
+def _matrix(values, name: str, n_modes: int, source: str) -> np.ndarray:
     """Entries (mode, channel) of a matrix (channel, mode), or of one vector for one mode."""
-    if name not in found:
-        return None
     try:
-        array = np.asarray(found[name])
+        array = np.asarray(values)
         if array.dtype == object:  # null
             array = array.astype(np.float64)
         if array.dtype.kind not in "iufc":
             raise TypeError
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(
-            f"{source}: {name} must be a matrix of numbers with a row for each channel and a column for each "
-            "mode, got something else."
-        ) from None
+        what = f"{source}: {name} must be a matrix of numbers with a row for each channel and a column for"
+        raise refusal(f"{what} each mode", "something else") from None
     if array.ndim == 1 and n_modes == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[1] != n_modes:
         turned = array.ndim == 2 and array.shape[0] == n_modes
-        raise ValueError(
-            f"{source}: {name} must have a row for each channel and a column for each of the {n_modes} "
-            f"modes, got shape {array.shape}. "
-            f"{'Transpose it.' if turned else 'Pass `names` if another variable holds them.'}"
+        advice = "Transpose it." if turned else "Pass `names` if another variable holds them."
+        what = (
+            f"{source}: {name} must have a row for each channel and a column for each of the {n_modes} modes"
         )
+        raise refusal(what, f"shape {array.shape}", advice)
     return array.T
-
-
-def _names(value, source: str) -> list[str] | None:
-    """Names of the channels, of a list or of the rows of a text."""
-    if value is None:
-        return None
-    names = np.ravel(np.asarray(value, dtype=object)).tolist()
-    if not all(isinstance(name, str) for name in names):
-        raise ValueError(
-            f"{source}: channels must be texts, got {type(value).__name__}. Pass `channels` instead."
-        )
-    return [name.strip() for name in names]
 
 
 # --- results of pyOMA2 -------------------------------------------------------------------------------
@@ -163,32 +132,22 @@ OF_OMA = {
 
 def is_oma(source) -> bool:
     """Whether an object is a result, or has one or several."""
-    return hasattr(source, "Fn") or hasattr(source, "result") or _holds_results(source)
+    if isinstance(source, Mapping):
+        return bool(source) and all(hasattr(value, "Fn") for value in source.values())
+    return hasattr(source, "Fn") or hasattr(source, "result")
 
 
-def _holds_results(source) -> bool:
-    return (
-        isinstance(source, Mapping)
-        and bool(source)
-        and all(hasattr(value, "Fn") for value in source.values())
-    )
-
-
-def read_oma(source) -> Identified:
+def read_oma(source) -> dict:
     """Modes of a result, of an algorithm that has one, or of merged set-ups."""
     result = source if hasattr(source, "Fn") or isinstance(source, Mapping) else source.result
     name = type(source).__name__
     if isinstance(result, Mapping):
         if len(result) != 1:
-            raise ValueError(
-                f"`source` must be one result, got {name} with {listed([repr(key) for key in result])}. Pass "
-                "one, such as source.result[...]."
-            )
-        result = next(iter(result.values()))
+            got = f"{name} with {listed([repr(key) for key in result])}"
+            raise refusal("`source` must be one result", got, "Pass one, such as source.result[...].")
+        [result] = result.values()
     if getattr(result, "Fn", None) is None or getattr(result, "Phi", None) is None:
-        raise ValueError(
-            f"`source` must have picked modes, got {name} without frequencies or shapes. Call `mpe` of its "
-            "set-up first."
-        )
+        got = f"{name} without frequencies or shapes"
+        raise refusal("`source` must have picked modes", got, "Call `mpe` of its set-up first.")
     found = {ours: getattr(result, theirs, None) for ours, theirs in OF_OMA.items()}
     return from_variables({ours: values for ours, values in found.items() if values is not None}, name, {})

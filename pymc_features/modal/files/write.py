@@ -52,14 +52,6 @@ def write_modal(modal: ModalData, path: str | PathLike) -> None:
     writers[path.suffix.lower()](modal, path)
 
 
-def _cell(value) -> str:
-    if np.isnan(value):
-        return ""
-    if isinstance(value, complex | np.complexfloating):
-        return f"{value.real:.17g}{value.imag:+.17g}j"
-    return f"{value:.17g}"
-
-
 def _per_mode(modal: ModalData) -> dict[str, np.ndarray]:
     """Names of quantities and their numbers (m,), as `read_modal` calls them."""
     found = {
@@ -72,18 +64,26 @@ def _per_mode(modal: ModalData) -> dict[str, np.ndarray]:
 
 
 def _write_csv(modal: ModalData, path) -> None:
-    columns = {f"{name} [Hz]" if name == "frequency" else name: v for name, v in _per_mode(modal).items()}
+    columns = {} if modal.labels is None else {"mode": modal.labels}
+    columns |= {f"{name} [Hz]" if name == "frequency" else name: v for name, v in _per_mode(modal).items()}
     for k, name in enumerate(modal.channels):
         columns[name] = modal.shapes[:, k]
         if modal.shape_sd is not None:
             columns[f"{name}_sd"] = modal.shape_sd[:, k]
-    cells = [[_cell(value) for value in values] for values in columns.values()]
-    if modal.labels is not None:
-        columns, cells = {"mode": None, **columns}, [[str(label) for label in modal.labels], *cells]
     with path.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(columns)
-        rows.writerows(zip(*cells, strict=True))
+        rows.writerows(zip(*([_cell(value) for value in values] for values in columns.values()), strict=True))
+
+
+def _cell(value) -> str:
+    if isinstance(value, str):
+        return value
+    if np.isnan(value):
+        return ""
+    if np.iscomplexobj(value):
+        return f"{value.real:.17g}{value.imag:+.17g}j"
+    return f"{value:.17g}"
 
 
 def _write_json(modal: ModalData, path) -> None:
@@ -96,19 +96,10 @@ def _write_json(modal: ModalData, path) -> None:
             arrays["shapes_imaginary"] = modal.shapes.imag.T
         if modal.shape_sd is not None:
             arrays["shape_sd"] = modal.shape_sd.T
-    found = {
-        name: [_or_null(value) for value in values]
-        if values.ndim == 1
-        else [[_or_null(value) for value in row] for row in values]
-        for name, values in arrays.items()
-    }
+    found = {name: np.where(np.isnan(values), None, values).tolist() for name, values in arrays.items()}
     if modal.channels:
         found["channels"] = list(modal.channels)
     path.write_text(json.dumps(found, indent=1) + "\n")
-
-
-def _or_null(value) -> float | None:
-    return None if np.isnan(value) else float(value)
 
 
 def _write_universal(modal: ModalData, path) -> None:
@@ -117,25 +108,23 @@ def _write_universal(modal: ModalData, path) -> None:
     if not places or None in places:
         what = "with channels named by node and direction, as 12Z, for a Universal File"
         raise ValueError(message("modal", what, ", ".join(modal.channels) or "none", "Write CSV."))
-    nodes = sorted({int(place[1]) for place in places})
+    nodes, columns = np.unique([int(place[1]) for place in places], return_inverse=True)
     entries = np.full((len(modal), len(nodes), 3), np.nan, dtype=modal.shapes.dtype)
-    for k, place in enumerate(places):
-        entries[:, nodes.index(int(place[1])), AXES.index(place[2])] = modal.shapes[:, k]
+    entries[:, columns, [AXES.index(place[2]) for place in places]] = modal.shapes
+    ratios = np.zeros(len(modal)) if modal.damping_ratios is None else np.nan_to_num(modal.damping_ratios)
     kind, values = (3, 5) if modal.is_complex else (2, 2)
     lines = []
-    for number, (frequency, shape) in enumerate(zip(modal.frequencies, entries, strict=True), 1):
-        known = modal.damping_ratios is not None
-        damping = float(np.nan_to_num(modal.damping_ratios[number - 1])) if known else 0.0
+    for number, (frequency, damping, shape) in enumerate(
+        zip(modal.frequencies, ratios, entries, strict=True), 1
+    ):
         root = 2.0 * np.pi * frequency * complex(-damping, np.sqrt(1.0 - damping**2))
-        complex_ = [root.real, root.imag, 0.0, 0.0, 0.0, 0.0]
-        reals = complex_ if modal.is_complex else [frequency, 1.0, damping, 0.0]
+        of_root = [root.real, root.imag, 0.0, 0.0, 0.0, 0.0]
+        reals = of_root if modal.is_complex else [frequency, 1.0, damping, 0.0]
         lines += ["    -1", "    55", *["NONE"] * 5, _wholes(1, kind, 2, 8, values, 3)]
         lines += [_wholes(2, len(reals), 0, number), _reals(reals)]
         for node, row in zip(nodes, shape, strict=True):
             if not np.isnan(row).all():
-                whole = np.nan_to_num(row)
-                parts = np.column_stack([whole.real, whole.imag]).ravel() if modal.is_complex else whole
-                lines += [_wholes(node), _reals(parts)]
+                lines += [_wholes(node), _reals(np.nan_to_num(row).view(np.float64))]
         lines.append("    -1")
     path.write_text("\n".join(lines) + "\n")
 
