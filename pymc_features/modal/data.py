@@ -192,7 +192,7 @@ class ModalData:
         ((S_xx - S_yy)^2 + 4 S_xy^2) / (S_xx + S_yy)^2.
         """
         self._demand_shapes()
-        return np.array([agreement(shape, shape.conj()) for shape in self.shapes])
+        return np.diag(agreement(self.shapes, self.shapes.conj()))
 
     def real(self) -> "ModalData":
         """Return the modes with real shapes, each turned by the phase that leaves the least imaginary part.
@@ -310,9 +310,9 @@ def mac(shapes: ArrayLike, others: ArrayLike) -> np.ndarray:
         return np.where(norms > 0.0, products / norms, np.nan)
 
 
-def agreement(a: np.ndarray, b: np.ndarray) -> float:
-    """Modal assurance criterion of two shapes (s,), at most 1; 0 if they have no entry in common."""
-    return round(min(float(np.nan_to_num(mac(a[None], b[None])[0, 0])), 1.0), 15)
+def agreement(shapes: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Modal assurance criterion (m, i), at most 1; 0 where shapes have no entry in common."""
+    return np.minimum(np.nan_to_num(mac(shapes, others)), 1.0).round(15)
 
 
 def real_shape(shape: np.ndarray) -> np.ndarray:

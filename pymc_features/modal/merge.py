@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from pymc_features._checks import check_number, check_texts, listed, shown
-from pymc_features.modal.data import ModalData, agreement, find_channels, warn_modes
+from pymc_features.modal.data import ModalData, agreement, find_channels, refusal, warn_modes
 
 RADIANS = (2.0 * np.pi, 0.5 / np.pi)  # ratios of rad/s and Hz
 STILL = 0.1  # of the largest entry of a shape: references below it give its scale poorly
@@ -81,19 +81,14 @@ def merge_setups(
     tolerance = check_number(frequency_tolerance, "frequency_tolerance")
     least = check_number(least_mac, "least_mac")
     if not 0.0 < tolerance < 1.0:
-        raise ValueError(
-            f"`frequency_tolerance` must be a fraction from 0 to 1, got {tolerance}. Divide a percentage by "
-            "100."
-        )
+        what = "`frequency_tolerance` must be a fraction from 0 to 1"
+        raise refusal(what, tolerance, "Divide a percentage by 100.")
     if not 0.0 <= least <= 1.0:
-        raise ValueError(f"`least_mac` must be from 0 to 1, got {least}.")
-    parts = [_at(setup, references, number) for number, setup in enumerate(setups)]
-    modes = [[(0, k, 1.0)] for k in range(len(setups[0]))]
-    for number in _order(parts):
-        _join(modes, setups, parts, number, (tolerance, least))
-    modes.sort(key=lambda members: _frequency(setups, members))
-    _check_found(setups, modes, parts)
-    return merged(setups, modes)
+        raise refusal("`least_mac` must be from 0 to 1", least)
+    merged = Merged(setups, references)
+    for number in merged.order():
+        merged.join(number, tolerance, least)
+    return merged.result()
 
 
 def _checked_setups(setups) -> list[ModalData]:
@@ -101,10 +96,8 @@ def _checked_setups(setups) -> list[ModalData]:
         raise TypeError(f"`setups` must be a sequence of at least two ModalData, got {shown(setups)}.")
     for number, setup in enumerate(setups):
         if not isinstance(setup, ModalData):
-            raise TypeError(
-                f"`setups` must be ModalData, got {type(setup).__name__} at index {number}. Read it with "
-                "`read_modal`."
-            )
+            got = f"{type(setup).__name__} at index {number}"
+            raise TypeError(f"`setups` must be ModalData, got {got}. Read it with `read_modal`.")
         if setup.shapes is None:
             raise ValueError(
                 f"`setups` must have shapes, set-up {number} has none. Average its frequencies yourself, or "
@@ -118,11 +111,9 @@ def _checked_references(setups, references) -> list[str]:
     holders = Counter(name for setup in setups for name in setup.channels)
     shared = [name for name, count in holders.items() if count > 1]
     if not shared:
-        raise ValueError(
-            "`setups` must have channels in common, got none: "
-            + "; ".join(f"set-up {k}: {listed(s.channels, 8)}" for k, s in enumerate(setups))
-            + ". Give the same sensor the same name in all set-ups."
-        )
+        got = "; ".join(f"set-up {k}: {listed(s.channels, 8)}" for k, s in enumerate(setups))
+        advice = "Give the same sensor the same name in all set-ups."
+        raise refusal("`setups` must have channels in common", f"none: {got}", advice)
     if references is None:
         return shared
     references = check_texts(references, "references", "a sequence of names")
@@ -137,70 +128,129 @@ def _checked_references(setups, references) -> list[str]:
     return [str(name) for name in references]
 
 
-def _at(setup: ModalData, references: list[str], number: int) -> np.ndarray:
-    """Entries (mode, reference), NaN at those of other set-ups; one at least must move in each mode."""
-    places = [index for index, name in enumerate(references) if name in setup.channels]
-    own = find_channels([references[index] for index in places], setup.channels, "it") if places else []
-    part = np.full((len(setup), len(references)), np.nan, dtype=setup.shapes.dtype)
-    part[:, places] = setup.shapes[:, own]
-    for mode, entries in enumerate(part):
-        if places and not (np.abs(entries) > 0.0).any():
-            raise ValueError(
-                f"`references` must move in every mode, the mode at {setup.frequencies[mode]:.4g} Hz of "
-                f"set-up {number} has no entry there but zeros and NaN. Name others, or leave out this mode "
-                "by `select`."
-            )
-    return part
+class Merged:
+    """Modes of several set-ups as one: of each mode and set-up, the row of the set-up's and its factor.
 
+    Tables of the set-ups have a last row of NaN, which stands for what a set-up does not have: row -1.
+    """
 
-def _order(parts) -> Iterator[int]:
-    """Set-ups but the first, each after one that it has a reference in common with."""
-    measured = [~np.isnan(part).all(axis=0) for part in parts]
-    joined, remaining = measured[0], list(range(1, len(parts)))
-    while remaining:
-        number = next((k for k in remaining if (joined & measured[k]).any()), None)
-        if number is None:
-            raise ValueError(
-                f"`setups` must be connected by references, set-ups {remaining} share none with the others. "
-                "Give the same sensor the same name in all set-ups, or merge the parts by themselves."
-            )
-        yield number
-        joined = joined | measured[number]
-        remaining.remove(number)
+    def __init__(self, setups: list[ModalData], references: list[str]):
+        self.setups = setups
+        self.names = list(dict.fromkeys(name for setup in setups for name in setup.channels))
+        self.at = find_channels(references, self.names, "all")
+        self.shapes, self.frequencies = self.table("shapes"), self.table("frequencies")
+        parts = self.shapes[:, :, self.at]
+        self.measured = (~np.isnan(parts)).any(axis=1)  # (set-up, reference)
+        for number, setup in enumerate(setups):
+            still = ~np.nan_to_num(parts[number, : len(setup)]).any(axis=1)
+            if still.any() and set(setup.channels) & set(references):
+                raise ValueError(
+                    f"`references` must move in every mode, the mode at {setup.frequencies[still][0]:.4g} Hz "
+                    f"of set-up {number} has no entry there but zeros and NaN. Name others, or leave out this "
+                    "mode by `select`."
+                )
+        self.rows = np.full((len(setups[0]), len(setups)), -1)  # (mode, set-up)
+        self.rows[:, 0] = range(len(setups[0]))
+        self.factors = np.ones(self.rows.shape, dtype=self.shapes.dtype)
 
+    def table(self, name: str) -> np.ndarray:
+        """What set-ups know of their modes, (set-up, mode) or (set-up, mode, channel), NaN elsewhere."""
+        is_complex = name == "shapes" and any(setup.is_complex for setup in self.setups)
+        size = len(self.setups), 1 + max(map(len, self.setups)), len(self.names)
+        table = np.full(size, np.nan, dtype=np.complex128 if is_complex else np.float64)
+        for part, setup in zip(table, self.setups, strict=True):
+            if (values := getattr(setup, name)) is not None and values.ndim == 1:
+                part[: len(setup)] = values[:, None]
+            elif values is not None:
+                part[: len(setup), find_channels(setup.channels, self.names, "all")] = values
+        return table if name.startswith("shape") else table[:, :, 0]
 
-def _frequency(setups, members) -> float:
-    return float(np.mean([setups[number].frequencies[k] for number, k, _ in members]))
+    def of_modes(self, table: np.ndarray) -> np.ndarray:
+        """What a table says of the merged modes, (mode, set-up) or (mode, set-up, channel)."""
+        return table[np.arange(len(self.setups)), self.rows]
 
+    @property
+    def means(self) -> np.ndarray:
+        """Mean frequencies (mode,) [Hz]."""
+        return mean_entries(self.of_modes(self.frequencies))
 
-def _reference(parts, members) -> np.ndarray:
-    """Mean of the scaled entries (reference,) of what is merged so far."""
-    return mean_entries(np.array([factor * parts[number][k] for number, k, factor in members]))
+    @property
+    def scaled(self) -> np.ndarray:
+        """Shapes (mode, set-up, channel) in the scale of the first set-up."""
+        return self.factors[:, :, None] * self.of_modes(self.shapes)
 
+    def order(self) -> Iterator[int]:
+        """Set-ups but the first, each after one that it has a reference in common with."""
+        joined, remaining = self.measured[0], list(range(1, len(self.setups)))
+        while remaining:
+            number = next((k for k in remaining if (joined & self.measured[k]).any()), None)
+            if number is None:
+                raise ValueError(
+                    f"`setups` must be connected by references, set-ups {remaining} share none with the "
+                    "others. Give the same sensor the same name in all set-ups, or merge the parts by "
+                    "themselves."
+                )
+            yield number
+            joined = joined | self.measured[number]
+            remaining.remove(number)
 
-def _join(modes, setups, parts, number, limits) -> None:
-    """Add the modes of a set-up to those they are the same as, or as new ones."""
-    tolerance, least = limits
-    found = setups[number].frequencies
-    cost = np.full((len(modes), found.size), np.inf)
-    for row, members in enumerate(modes):
-        frequency, shape = _frequency(setups, members), _reference(parts, members)
-        for k in range(found.size):
-            difference = abs(found[k] - frequency) / frequency
-            likeness = agreement(shape, parts[number][k])
-            if difference <= tolerance and likeness >= max(least, 1e-12):
-                cost[row, k] = difference / tolerance + 1.0 - likeness
-    allowed = np.isfinite(cost)
-    if not allowed.any():
-        raise _nothing_in_common(modes, setups, parts, number, limits)
-    taken = set()
-    # pairs that are not allowed cost more than all that are allowed together, so as few as possible are taken
-    for row, k in zip(*linear_sum_assignment(np.where(allowed, cost, 4.0 * cost.size)), strict=True):
-        if allowed[row, k]:
-            factor = _factor(parts[number][k], _reference(parts, modes[row]))
-            modes[row].append((number, int(k), factor))
-            taken.add(k)
-    modes += [[(number, k, 1.0)] for k in range(found.size) if k not in taken]
+    def join(self, number: int, tolerance: float, least: float) -> None:
+        """Add the modes of a set-up to those they are the same as, or as new ones."""
+        found, parts = self.setups[number].frequencies, self.shapes[number][:, self.at]
+        means, merged = self.means[:, None], mean_entries(self.scaled[..., self.at])
+        difference, likeness = abs(found - means) / means, agreement(merged, parts[: found.size])
+        allowed = (difference <= tolerance) & (likeness >= max(least, 1e-12))
+        if not allowed.any():
+            raise _nothing_in_common(number, found, means, likeness.max(), tolerance, least)
+        cost = difference / tolerance + 1.0 - likeness
+        # pairs that are not allowed cost more than all others together, so as few as possible are taken
+        pairs = np.array(linear_sum_assignment(np.where(allowed, cost, 4.0 * cost.size)))
+        pairs = pairs[:, allowed[*pairs]]
+        for mode, k in pairs.T:
+            self.rows[mode, number] = k
+            self.factors[mode, number] = _factor(parts[k], merged[mode])
+        new = np.setdiff1d(np.arange(found.size), pairs[1])
+        self.rows = np.vstack([self.rows, np.full((new.size, len(self.setups)), -1)])
+        self.rows[len(means) :, number] = new
+        self.factors = np.vstack([self.factors, np.ones((new.size, len(self.setups)))])
+
+    def result(self) -> ModalData:
+        """The modes in ascending order, with means over the set-ups; warns of what is uncertain."""
+        order = np.argsort(self.means, kind="stable")
+        self.rows, self.factors = self.rows[order], self.factors[order]
+        self._warn()
+        entries, numbers = self.scaled, {}
+        for values, sds in (("frequencies", "frequency_sd"), ("damping_ratios", "damping_sd")):
+            pair = (self.of_modes(self.table(name)) for name in (values, sds))
+            numbers[values], numbers[sds] = _averages(*pair)
+        if np.isnan(numbers["frequency_sd"]).any():
+            del numbers["frequency_sd"]
+        numbers = {name: values for name, values in numbers.items() if not np.isnan(values).all()}
+        if any(setup.shape_sd is not None for setup in self.setups):
+            sds = np.abs(self.factors)[:, :, None] * self.of_modes(self.table("shape_sd"))
+            squares = np.where(np.isnan(entries), 0.0, sds) ** 2
+            numbers["shape_sd"] = np.sqrt(squares.sum(axis=1)) / _count(entries)
+        return ModalData(shapes=mean_entries(entries), channels=self.names, **numbers)
+
+    def _warn(self) -> None:
+        """Warn of modes that are not in all set-ups, and of references that hardly move."""
+        for mean, rows in zip(self.means, self.rows, strict=True):
+            where = np.flatnonzero(rows >= 0).tolist()
+            if len(where) < len(rows):
+                warn_modes(
+                    f"The mode at {mean:.4g} Hz is in set-ups {where} only; at the other channels its shape "
+                    "is NaN. Leave it out by `select` if that is no mode."
+                )
+            for number in where:
+                shape = np.abs(self.shapes[number, rows[number]])
+                moving = np.nanmax(shape[self.at]) / np.nanmax(shape)
+                if moving < STILL:
+                    warn_modes(
+                        "The references hardly move in the mode at "
+                        f"{self.setups[number].frequencies[rows[number]]:.4g} Hz of set-up {number}, "
+                        f"{moving:.2g} of its largest entry: its scale is uncertain. Leave the mode out by "
+                        "`select`, or name better `references`."
+                    )
 
 
 def _factor(shape: np.ndarray, wanted: np.ndarray):
@@ -211,12 +261,9 @@ def _factor(shape: np.ndarray, wanted: np.ndarray):
     return np.vdot(scaled, wanted[both]) / np.vdot(scaled, scaled).real / size
 
 
-def _nothing_in_common(modes, setups, parts, number, limits) -> ValueError:
+def _nothing_in_common(number, found, means, best, tolerance, least) -> ValueError:
     """The error about a set-up without a mode of the others, and why that may be."""
-    tolerance, least = limits
-    others = np.array([_frequency(setups, members) for members in modes])
-    found = setups[number].frequencies
-    ratio = found[None] / others[:, None]
+    ratio = found / means
     pairs = {factor: (np.abs(ratio / factor - 1.0) <= tolerance).sum() for factor in (1.0, *RADIANS)}
     likely = max(pairs, key=pairs.get)
     advice = "Raise `frequency_tolerance`, or leave this set-up out."
@@ -224,108 +271,45 @@ def _nothing_in_common(modes, setups, parts, number, limits) -> ValueError:
         whose = f"set-up {number}" if likely > 1.0 else "the others"
         advice = f'They differ by 2 pi: are those of {whose} in rad/s? Read them with names={{"omega": ...}}.'
     elif pairs[likely]:
-        best = max(agreement(_reference(parts, m), part) for m in modes for part in parts[number])
         advice = (
             "Frequencies agree, shapes do not: the best modal assurance criterion at the references is "
             f"{best:.2f}. Check the names and senses of the reference channels, or lower `least_mac`."
         )
+    ours, theirs = (listed([f"{f:.4g}" for f in values.ravel()], 8) for values in (found, means))
     return ValueError(
-        f"`setups` must have modes in common, set-up {number} ({_hz(found)}) has none of the others "
-        f"({_hz(others)}) within {100.0 * tolerance:g} % and with a modal assurance criterion of at least "
+        f"`setups` must have modes in common, set-up {number} ({ours} Hz) has none of the others "
+        f"({theirs} Hz) within {100.0 * tolerance:g} % and with a modal assurance criterion of at least "
         f"{least:g}. {advice}"
     )
 
 
-def _hz(frequencies) -> str:
-    return listed([f"{value:.4g}" for value in frequencies], 8) + " Hz"
+def mean_entries(values: np.ndarray) -> np.ndarray:
+    """Mean over set-ups, the second axis, of what is not NaN; NaN where there is nothing else."""
+    mean = np.nan_to_num(values).sum(axis=1) / np.nan_to_num(_count(values), nan=1.0)
+    return np.where(np.isnan(_count(values)), np.nan, mean)
 
 
-def _check_found(setups, modes, parts) -> None:
-    """Warn of modes that are not in all set-ups, and of references that hardly move."""
-    for members in modes:
-        where = [number for number, _, _ in members]
-        if len(where) < len(setups):
-            warn_modes(
-                f"The mode at {_frequency(setups, members):.4g} Hz is in set-ups {where} only; at the other "
-                "channels its shape is NaN. Leave it out by `select` if that is no mode."
-            )
-        for number, k, _ in members:
-            largest = np.nanmax(np.abs(setups[number].shapes[k]))
-            moving = np.nanmax(np.abs(parts[number][k])) / largest
-            if moving < STILL:
-                warn_modes(
-                    f"The references hardly move in the mode at {setups[number].frequencies[k]:.4g} Hz of "
-                    f"set-up {number}, {moving:.2g} of its largest entry: its scale is uncertain. Leave the "
-                    "mode out by `select`, or name better `references`."
-                )
+def _count(values: np.ndarray) -> np.ndarray:
+    """How many along the second axis are not NaN, NaN where none is."""
+    count = (~np.isnan(values)).sum(axis=1)
+    return np.where(count > 0, count, np.nan)
 
 
-# --- means over set-ups of what their modes have in common, and how sure they are --------------------------
+def _averages(x: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means (mode,) over set-ups and their standard deviations: inverse variances as weights, Birge's ratio.
 
-
-def merged(setups: list[ModalData], modes: list[list[tuple]]) -> ModalData:
-    """The modes as one: of each the set-ups that have it, its place there, and the factor of its shape."""
-    names = list(dict.fromkeys(name for setup in setups for name in setup.channels))
-    places = [find_channels(setup.channels, names, "all") for setup in setups]
-    kind = np.complex128 if any(setup.is_complex for setup in setups) else np.float64
-    shapes, spreads = [], []
-    for members in modes:
-        entries = np.full((len(members), len(names)), np.nan, dtype=kind)
-        sds = np.full(entries.shape, np.nan)
-        for row, (number, k, factor) in enumerate(members):
-            entries[row, places[number]] = factor * setups[number].shapes[k]
-            if setups[number].shape_sd is not None:
-                sds[row, places[number]] = abs(factor) * setups[number].shape_sd[k]
-        sds[np.isnan(entries)] = 0.0
-        count = (~np.isnan(entries)).sum(axis=0)
-        shapes.append(mean_entries(entries))
-        spreads.append(np.where(count > 0, np.sqrt((sds**2).sum(axis=0)) / np.maximum(count, 1), np.nan))
-    frequencies, frequency_sd = _averages(setups, modes, "frequencies", "frequency_sd")
-    damping, damping_sd = _averages(setups, modes, "damping_ratios", "damping_sd")
-    return ModalData(
-        frequencies,
-        np.array(shapes),
-        names,
-        frequency_sd=None if np.isnan(frequency_sd).any() else frequency_sd,
-        damping_ratios=None if np.isnan(damping).all() else damping,
-        damping_sd=None if np.isnan(damping_sd).all() else damping_sd,
-        shape_sd=None if all(setup.shape_sd is None for setup in setups) else np.array(spreads),
-    )
-
-
-def mean_entries(rows: np.ndarray) -> np.ndarray:
-    """Mean of the rows of an array, without NaN; NaN where there is nothing else."""
-    count = (~np.isnan(rows)).sum(axis=0)
-    total = np.where(np.isnan(rows), 0.0, rows).sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _averages(setups, modes, values: str, sds: str) -> tuple[np.ndarray, np.ndarray]:
-    """Means (m,) over the set-ups and their standard deviations, NaN where these are not known."""
-    pairs = []
-    for members in modes:
-        x = np.array([_number(setups[number], values, k) for number, k, _ in members])
-        sd = np.array([_number(setups[number], sds, k) for number, k, _ in members])[~np.isnan(x)]
-        pairs.append(_average(x[~np.isnan(x)], sd))
-    means, spreads = np.array(pairs).T
-    return means, spreads
-
-
-def _number(setup: ModalData, name: str, mode: int) -> float:
-    values = getattr(setup, name)
-    return np.nan if values is None else float(values[mode])
-
-
-def _average(x: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
-    """Mean and its standard deviation: inverse variances as weights, and Birge's ratio if it is above 1.
-
-    Birge, R. T. (1932), The calculation of errors by the method of least squares, Phys. Rev. 40, 207-227.
+    Plain means, and NaN, where a standard deviation is not known. Birge, R. T. (1932), The calculation of
+    errors by the method of least squares, Phys. Rev. 40, 207-227.
     """
-    if x.size == 0:
-        return np.nan, np.nan
-    if np.isnan(sd).any() or (sd == 0.0).any():
-        return float(x.mean()), np.nan
-    weights = (sd.min() / sd) ** 2
-    mean = float(weights @ x / weights.sum())
-    ratio = weights @ (x - mean) ** 2 / max(x.size - 1, 1) / sd.min() ** 2
-    return mean, float(sd.min() / np.sqrt(weights.sum()) * np.sqrt(max(ratio, 1.0)))
+    known = ~np.isnan(x)
+    weighed = (known <= (sd > 0.0)).all(axis=1, keepdims=True) & known.any(axis=1, keepdims=True)
+    sd = np.where(known & weighed, sd, np.inf)
+    smallest = np.where(weighed, sd.min(axis=1, keepdims=True), 1.0)
+    weights = np.where(weighed, (smallest / sd) ** 2, known)
+    total, count = weights.sum(axis=1), known.sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        means = np.sum(weights * np.where(known, x, 0.0), axis=1) / total
+    off = np.where(known, x - means[:, None], 0.0)
+    ratio = np.sum(weights * off**2, axis=1) / np.maximum(count - 1, 1) / smallest[:, 0] ** 2
+    spread = np.sqrt(np.maximum(ratio, 1.0) / np.where(total > 0.0, total, 1.0))
+    return means, np.where(weighed[:, 0], smallest[:, 0] * spread, np.nan)
