@@ -146,8 +146,8 @@ class Merged:
             if still.any() and set(setup.channels) & set(references):
                 raise ValueError(
                     f"`references` must move in every mode, the mode at {setup.frequencies[still][0]:.4g} Hz "
-                    f"of set-up {number} has no entry there but zeros and NaN. Name others, or leave out this "
-                    "mode by `select`."
+                    f"of set-up {number} has no entry there but zeros and NaN. Name others, or leave out "
+                    "this mode by `select`."
                 )
         self.rows = np.full((len(setups[0]), len(setups)), -1)  # (mode, set-up)
         self.rows[:, 0] = range(len(setups[0]))

@@ -25,7 +25,6 @@ class PopulationComparison(StructuralOp):
     history of any particle is stored, for the gradient neither.
     """
 
-    gufunc_signature = None
     more_signature = "(s,u)"
     batched = True
     values: tuple[int, ...] = ()
@@ -45,10 +44,7 @@ class PopulationComparison(StructuralOp):
         return Apply(self, [*common, observed], [output])
 
     def infer_shape(self, node, shapes):
-        rows = shapes[0][0]
-        for shape in shapes[1 : self.n_parameters]:
-            rows = pt.maximum(rows, shape[0])
-        return [(rows, shapes[self.at("sensors")][0], *self.values)]
+        return [(*self.population(shapes), shapes[self.at("sensors")][0], *self.values)]
 
     def pullback(self, inputs, outputs, cotangents):
         """By `PopulationGradient`; the data of a population are not differentiated."""
@@ -78,19 +74,12 @@ class PopulationGradient(MisfitGradient):
     """Gradient as of `MisfitGradient`, of a population; c (particle, sensor, n_statistics)."""
 
     kernel_name = "population_gradient"
-    gufunc_signature = None
     batched = True
 
     @property
     def more_signature(self):
         """Shapes of the data and of c."""
         return f"(s,u),(particle,s,{self.n_statistics})"
-
-    def prepare_inputs(self, inputs):
-        """Parameters have one row for each particle, or one for all."""
-        n = self.n_parameters
-        parameters = [pt.as_tensor_variable(x).astype("float64") for x in inputs[:n]]
-        return [*parameters, *super().prepare_inputs(inputs[n:], start=n)]
 
     def transpose(self, inputs, cotangents):
         """Particle by particle; of increments the changes of all responses would have to be stored."""
@@ -112,22 +101,29 @@ POPULATIONS = {StructuralDiscrepancy: PopulationDiscrepancy, StructuralMisfit: P
 
 
 def fused_comparison(op, inputs):
-    """Output (..., sensor, *values) of a `StructuralComparison` for inputs with any leading batch dimensions.
+    """Output (..., sensor, *values) of a `StructuralComparison` for inputs with any leading dimensions."""
+    ndims = [*(count(dims) for dims in op.inputs.values()), 2]
+    [result] = in_one_call(op, op.like(POPULATIONS[type(op)]), inputs, ndims)
+    return result
 
-    Batches of parameters alone become one Op of the population; others are left to `Blockwise`.
+
+def in_one_call(op, population, inputs, ndims) -> list:
+    """Outputs of an Op for inputs with any leading batch dimensions.
+
+    Batches of parameters alone become one call of the Op of the population; others are left to `Blockwise`.
     """
     n = op.n_parameters
-    expected = [*(count(dims) for dims in op.spec.inputs.values()), 2]
-    inputs = [without_unit_batch(x, ndim) for x, ndim in zip(inputs, expected, strict=True)]
-    if any(x.type.ndim != ndim for x, ndim in zip(inputs[n:], expected[n:], strict=True)):
-        return Blockwise(op)(*inputs)
-    if all(x.type.ndim == ndim for x, ndim in zip(inputs, expected, strict=True)):
-        return op(*inputs)
-    rows, batch = as_rows(inputs[:n], expected[:n])
-    result = op.like(POPULATIONS[type(op)])(*rows, *inputs[n:])
+    inputs = [without_unit_batch(x, ndim) for x, ndim in zip(inputs, ndims, strict=True)]
+    alone = [x.type.ndim == ndim for x, ndim in zip(inputs, ndims, strict=True)]
+    if op.batched or not all(alone[n:]):
+        return Blockwise(op)(*inputs, return_list=True)
+    if all(alone):
+        return op(*inputs, return_list=True)
+    rows, batch = as_rows(inputs[:n], ndims[:n])
+    results = population(*rows, *inputs[n:], return_list=True)
     if batch is None:
-        return result
-    return result.reshape((*batch, *tuple(result.shape)[1:]), ndim=len(batch) + result.ndim - 1)
+        return results
+    return [x.reshape((*batch, *tuple(x.shape)[1:]), ndim=len(batch) + x.ndim - 1) for x in results]
 
 
 def as_rows(parameters, ndims):

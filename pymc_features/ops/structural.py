@@ -1,6 +1,7 @@
 """What the response Ops share: their inputs, and what a gradient depends on."""
 
 import re
+from functools import cached_property, reduce
 
 import numpy as np
 import pytensor.tensor as pt
@@ -44,16 +45,37 @@ class StructuralOp(Op):
     batched = False
 
     def __init__(self, quantity: str = "absolute_acceleration", family: str = "chain"):
-        self.quantity = quantity
-        self.family = family
-        self.quantity_code = CODES[quantity]
-        self.names = tuple(self.spec.inputs)
-        self.n_parameters, self.n_common = len(self.spec.parameters), len(self.names)
+        self.quantity, self.family = quantity, family  # all else follows: machine code on disk holds Ops
 
     @property
     def spec(self):
         """The family: no attribute, for machine code does not travel with pickled Ops."""
         return FAMILIES[self.family]
+
+    @property
+    def quantity_code(self) -> int:
+        """The quantity, as the kernels call it."""
+        return CODES[self.quantity]
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the family's inputs."""
+        return tuple(self.inputs)
+
+    @cached_property
+    def n_parameters(self) -> int:
+        """Number of parameters, the first inputs."""
+        return len(self.spec.parameters)
+
+    @cached_property
+    def n_common(self) -> int:
+        """Number of the family's inputs."""
+        return len(self.names)
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Names and shapes of the family's inputs."""
+        return self.spec.inputs
 
     @property
     def kernel(self):
@@ -62,8 +84,10 @@ class StructuralOp(Op):
 
     @property
     def gufunc_signature(self):
-        """Shapes of inputs and outputs of one particle."""
-        common, of_parameters = (shapes(s) for s in (self.spec.inputs, self.spec.parameters))
+        """Shapes of inputs and outputs of one particle; the Op of a population is never wrapped."""
+        if self.batched:
+            return None
+        common, of_parameters = shapes(self.inputs), shapes(self.spec.parameters)
         more = f",{self.more_signature}" if self.more_signature else ""
         return f"{common}{more}->{self.output_signature}".replace("parameters", of_parameters)
 
@@ -78,6 +102,10 @@ class StructuralOp(Op):
         """Numbers of dimensions of the parameters of one structure."""
         return tuple(count(dims) for dims in self.spec.parameters.values())
 
+    def dtype(self, name: str) -> str:
+        """Type of an input."""
+        return self.spec.dtype(name)
+
     def at(self, name: str) -> int:
         """Position of an input."""
         return self.names.index(name)
@@ -89,14 +117,14 @@ class StructuralOp(Op):
     def prepare_inputs(self, inputs, start=0):
         """Cast the family's inputs from number `start` on, and check their numbers of dimensions."""
         prepared = []
-        for (name, dims), value in zip(list(self.spec.inputs.items())[start:], inputs, strict=True):
-            dtype = self.spec.dtype(name)
+        for (name, dims), value in zip(list(self.inputs.items())[start:], inputs, strict=True):
+            dtype, ndim = self.dtype(name), count(dims) + (self.batched and name in self.spec.parameters)
             if not isinstance(value, Variable):
                 value = np.asarray(value, dtype=dtype)
             tensor = pt.as_tensor_variable(value)
-            if tensor.ndim != count(dims):
+            if tensor.ndim != ndim:
                 raise ValueError(
-                    f"`{name}` must have {count(dims)} dimensions, got {tensor.ndim}. "
+                    f"`{name}` must have {ndim} dimensions, got {tensor.ndim}. "
                     "Use `pytensor.graph.vectorize_graph` for batches."
                 )
             prepared.append(tensor if tensor.dtype == dtype else tensor.astype(dtype))
@@ -118,6 +146,11 @@ class StructuralOp(Op):
         """Number of output samples as a tensor."""
         substeps, stride = node.inputs[self.at("substeps")], node.inputs[self.at("stride")]
         return ((shapes[self.at("acceleration")][-1] - 1) * substeps) // stride + 1
+
+    def population(self, shapes) -> tuple:
+        """Number of particles as a tensor, if parameters have a row for each or one for all; else nothing."""
+        rows = [shape[0] for shape in shapes[: self.n_parameters]]
+        return (reduce(pt.maximum, rows),) if self.batched else ()
 
     def prepare_node(self, node, storage_map, compute_map, impl):
         """Forget what other functions have learnt, as `numba_dispatch.in_python` does."""
