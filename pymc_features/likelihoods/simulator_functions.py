@@ -260,8 +260,8 @@ class ModesSimulator(SimulatorFunction):
     ----------
     epsilon : TensorVariable () or (entry,)
         Tolerance, by which errors of frequencies and shapes are weighed in the assignment.
-    with_shape : bool array (i,)
-        Identifications that have a shape: entries are all frequencies, then these.
+    there, with_shape : bool array (g, k)
+        Identifications of each mode, and those that have a shape: entries are all frequencies, then these.
     """
 
     def __init__(self, node, data: Identified):
@@ -270,56 +270,58 @@ class ModesSimulator(SimulatorFunction):
         self.ndims_params = self.op.ndims[:n]
         self.data = data
         self.epsilon = pt.ones(())
-        self.with_shape = data.known.any(axis=1)
+        self.there, self.with_shape = ~np.isnan(data.frequencies), ~np.isnan(data.shapes).all(axis=2)
 
     @property
     def n_entries(self) -> int:
         """Number of squared errors."""
-        return self.with_shape.size + int(self.with_shape.sum())
+        return int(self.there.sum() + self.with_shape.sum())
 
     def weights(self, epsilon):
-        """1 / epsilon of each identification's frequency and shape, (2, i); zero without a shape."""
-        n = self.with_shape.size
-        places = np.zeros((2, n, self.n_entries))
-        places[0, np.arange(n), np.arange(n)] = 1.0
-        places[1, np.flatnonzero(self.with_shape), np.arange(n, self.n_entries)] = 1.0
+        """1 / epsilon of each identification's frequency and shape, (2, g, k); zero where there is none."""
+        places = np.zeros((2, *self.there.shape, self.n_entries))
+        places[*np.nonzero([self.there, self.with_shape]), np.arange(self.n_entries)] = 1.0
         return (places / epsilon).sum(axis=-1)
 
     def core(self, *parameters):
-        """Values (i, c) of one set of parameters, shapes scaled such that they fit best."""
+        """Values (g, c) of one set of parameters, shapes scaled such that they fit best."""
         frequencies, shapes, _ = self.results(parameters)
         data = self.data
         if not np.isfinite(frequencies).all():
             return np.full(data.values.shape, np.nan)
+        there, known = self.there[..., None], ~np.isnan(data.shapes)
+        measured = np.where(known, data.shapes, 0.0)
         with np.errstate(divide="ignore"):
-            errors = np.square(np.log(data.frequencies)[:, None] - np.log(frequencies))
-        shapes = shapes if data.shapes.size else np.empty((len(shapes), 0))
+            errors = np.square(
+                np.log(np.where(there, data.frequencies[..., None], 1.0)) - np.log(frequencies)
+            )
+        shapes = shapes if measured.size else np.empty((len(shapes), 0))
         distances = np.zeros(errors.shape)
-        measured = np.where(data.known > 0, data.shapes, np.nan)
-        distances[self.with_shape] = 1.0 - mac(measured, shapes)[self.with_shape]
-        weights = self.weights(number(self.epsilon))[:, :, None]
-        cost = data.groups @ np.minimum(weights[0] * errors + weights[1] * distances, FAR)
-        r = linear_sum_assignment(cost)[1][data.groups.argmax(axis=0)]
-        fitted = shapes[r] * data.known
-        squares = np.sum(fitted**2, axis=1, keepdims=True)
-        scale = np.sum(fitted * data.shapes, axis=1, keepdims=True) / np.where(squares > 0.0, squares, 1.0)
-        return data._replace(frequencies=frequencies[r], shapes=scale * fitted).values
+        distances[self.with_shape] = 1.0 - mac(data.shapes[self.with_shape], shapes)
+        weights = self.weights(number(self.epsilon))[..., None]
+        cost = np.minimum(weights[0] * errors + weights[1] * distances, FAR).sum(axis=1, where=there)
+        taken = linear_sum_assignment(cost)[1]
+        fitted = shapes[taken, None] * known
+        squares = np.sum(fitted**2, axis=2, keepdims=True)
+        scale = np.sum(fitted * measured, axis=2, keepdims=True) / np.where(squares > 0.0, squares, 1.0)
+        frequencies = np.where(self.there, frequencies[taken, None], np.nan)
+        return data._replace(frequencies=frequencies, shapes=scale * fitted).values
 
     def discrepancy(self, parameters, value):
         """Squared errors (entry,), a tensor: (ln f^ - ln f)^2 of each, then 1 - MAC of those with a shape."""
         frequencies, shapes, _ = self.op(*parameters, *self.settings)
         data = self.data
-        errors = pt.sqr(pt.log(value[:, 0])[:, None] - pt.log(frequencies))
-        s = data.shapes.shape[1]
-        parts = [value[:, 1 + i * s : 1 + (i + 1) * s] for i in range(1 + data.is_complex)]
-        known = pt.as_tensor_variable(data.known)
+        (g, k), s = self.there.shape, data.shapes.shape[2]
+        value = value.reshape((g, k, -1))
+        errors = pt.sqr(pt.log(pt.switch(self.there, value[..., 0], 1.0))[..., None] - pt.log(frequencies))
+        parts = [value[..., 1 + i * s : 1 + (i + 1) * s] for i in range(1 + data.is_complex)]
+        known = pt.as_tensor_variable((~np.isnan(data.shapes)).astype(np.float64))
         distances = one_minus_mac(shapes, parts, known) if s else pt.zeros_like(errors)
-        epsilon = pt.broadcast_to(self.epsilon, (self.n_entries,))
-        weights = self.weights(epsilon)[:, :, None]
-        cost = pt.matmul(data.groups, pt.minimum(weights[0] * errors + weights[1] * distances, FAR))
-        chosen = pt.matmul(data.groups.T, Assignment()(-cost)) > 0.5
+        weights = self.weights(pt.broadcast_to(self.epsilon, (self.n_entries,)))[..., None]
+        cost = pt.minimum(weights[0] * errors + weights[1] * distances, FAR)
+        chosen = Assignment()(-pt.sum(pt.switch(self.there[..., None], cost, 0.0), axis=1))[:, None] > 0.5
         taken = [pt.sum(pt.switch(chosen, e, 0.0), axis=-1) for e in (errors, distances)]
-        return pt.concatenate([taken[0], taken[1][np.flatnonzero(self.with_shape)]])
+        return pt.concatenate([taken[0][np.nonzero(self.there)], taken[1][np.nonzero(self.with_shape)]])
 
 
 def node_of(mu: SymbolicModes, data: Identified):
@@ -330,7 +332,7 @@ def node_of(mu: SymbolicModes, data: Identified):
             "`mu` must be what `modes` returned, at `sensors`, got other expressions. Pass a function of the "
             "parameters instead."
         )
-    (m, s), wanted = node.outputs[1].type.shape, data.shapes.shape[1]
+    (m, s), wanted = node.outputs[1].type.shape, data.shapes.shape[2]
     if wanted and s not in (None, wanted):
         raise ValueError(
             f"`observed` must have shapes at the {s} sensors of `modes`, got {wanted} channels. Pass those "

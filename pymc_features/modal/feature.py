@@ -32,6 +32,7 @@ from pymc_features._checks import (
     warn_caller,
 )
 from pymc_features.exceptions import ModalMatchWarning
+from pymc_features.modal.data import refusal
 from pymc_features.modal.identified import Identified, identification_names, identified
 from pymc_features.modal.matching import (
     ModalFeatureRV,
@@ -153,7 +154,7 @@ class ModalFeature(Continuous):
         if dims is None:
             dims = add_coordinates(name, data)
         parameters = checked_parameters(modes, data, sigma_f, sigma_phi, density)
-        rv = super().__new__(cls, name, *parameters, observed=data.by_label, dims=dims)
+        rv = super().__new__(cls, name, *parameters, observed=data.values, dims=dims)
         warn_at_start(rv)
         return rv
 
@@ -165,7 +166,7 @@ class ModalFeature(Continuous):
 
 def add_coordinates(name, data: Identified) -> tuple[str, str]:
     """Names of the axes of the data, known to the model with what stands along them."""
-    coords = {f"{name}_mode": [str(label) for label in data.labels], f"{name}_entry": data.entries_by_label}
+    coords = {f"{name}_mode": [str(label) for label in data.labels], f"{name}_entry": data.entries}
     pm.modelcontext(None).add_coords(coords)
     return tuple(coords)
 
@@ -178,45 +179,36 @@ def checked_parameters(modes, data: Identified, sigma_f, sigma_phi, density) -> 
     pair = (*listed, np.zeros((0, 0)))[:2]
     frequencies, shapes = (as_tensor(x, "modes", "Pass what `modes` returned.") for x in pair)
     if frequencies.ndim != 1 or shapes.ndim != 2:
-        raise ValueError(
-            "`modes` must be frequencies (m,) and shapes (m, s), got "
-            f"{frequencies.ndim} and {shapes.ndim} dimensions. Pass what `modes` returned."
-        )
-    g, s = len(data.labels), data.shapes.shape[1]
-    if frequencies.type.shape[0] is not None and frequencies.type.shape[0] < g:
-        raise ValueError(
-            f"`modes` must have at least as many modes as were identified, {g}, got "
-            f"{frequencies.type.shape[0]}. Ask `modes` for more."
-        )
+        what = "`modes` must be frequencies (m,) and shapes (m, s)"
+        got = f"{frequencies.ndim} and {shapes.ndim} dimensions"
+        raise refusal(what, got, "Pass what `modes` returned.")
+    (g, _, s), [m] = data.shapes.shape, frequencies.type.shape
+    if m is not None and m < g:
+        what = f"`modes` must have at least as many modes as were identified, {g}"
+        raise refusal(what, m, "Ask `modes` for more.")
     if s and shapes.type.shape[1] not in (None, s):
-        raise ValueError(
-            f"`shapes` must have a column for each of the {shapes.type.shape[1]} sensors of `modes`, got "
-            f"{s}. Pass the channels of the data as `sensors`."
-        )
+        what = f"`shapes` must have a column for each of the {shapes.type.shape[1]} sensors of `modes`"
+        raise refusal(what, s, "Pass the channels of the data as `sensors`.")
     shapes = pt.specify_shape(shapes, (None, s)) if s else shapes[:, :0]
     if s and sigma_phi is None:
-        raise ValueError(
-            "`sigma_phi` must be given with shapes, got None. Pass the scale of the root of 1 - MAC."
-        )
+        what, advice = "`sigma_phi` must be given with shapes", "Pass the scale of the root of 1 - MAC."
+        raise refusal(what, None, advice)
     if isinstance(density, str) and density not in DENSITIES:
-        raise ValueError(
-            message("density", f"one of {', '.join(DENSITIES)} or degrees of freedom", shown(density))
-        )
+        what = f"one of {', '.join(DENSITIES)} or degrees of freedom"
+        raise ValueError(message("density", what, shown(density)))
     degrees = DENSITIES[density] if isinstance(density, str) else density
+    has_sd = bool((data.sd[~np.isnan(data.sd)] > 0.0).all())
     parameters = [
         frequencies,
         shapes,
-        scale("sigma_f", sigma_f, g, allow_zero=bool((data.sd > 0).all())),
+        scale("sigma_f", sigma_f, g, allow_zero=has_sd),
         scale("sigma_phi", 1.0 if sigma_phi is None else sigma_phi, g),
         scale("density", degrees, g),
         *map(pt.as_tensor_variable, data.scatter),
     ]
-    known = pt.as_tensor_variable(data.known_by_label)
-    return [
-        *parameters,
-        known,
-        matched(log_densities(pt.as_tensor_variable(data.by_label), *parameters, known=known)),
-    ]
+    known = pt.as_tensor_variable(data.known)
+    density = log_densities(pt.as_tensor_variable(data.values), *parameters, known=known)
+    return [*parameters, known, matched(density)]
 
 
 def scale(name, value, n, *, allow_zero=False):
@@ -267,10 +259,9 @@ def match_of(rv) -> Match:
 def names_of(rv, model) -> list[str]:
     """Names of the identifications, in the order of `match_of`."""
     *_, scatter, known, _ = rv.owner.inputs
-    there, _ = masks(known, scatter.type.shape[-1], rv.owner.inputs[3])
-    there = there.eval(mode=ONCE)
+    there = masks(known, scatter.type.shape[-1], rv.owner.inputs[3])[0].eval(mode=ONCE)
     dim, *_ = model.named_vars_to_dims.get(rv.name, (None,))
-    return identification_names(model.coords.get(dim) or range(len(there)), np.nonzero(there)[0])
+    return identification_names(model.coords.get(dim) or range(len(there)), there)
 
 
 def match_modes(
@@ -311,8 +302,8 @@ def match_modes(
     """
     deviations, least_mac = check_number(deviations, "deviations"), check_number(least_mac, "least_mac")
     if not (deviations > 0.0 and 0.0 <= least_mac <= 1.0):
-        given = f"{deviations} and {least_mac}"
-        raise ValueError(f"`deviations` must be positive and `least_mac` from 0 to 1, got {given}.")
+        what = "`deviations` must be positive and `least_mac` from 0 to 1"
+        raise refusal(what, f"{deviations} and {least_mac}")
     if name is not None:
         check_text(name, "name")
     if not (posterior is None or isinstance(posterior, xr.DataTree | xr.Dataset)):
@@ -321,33 +312,34 @@ def match_modes(
     found = [rv for rv in model.observed_RVs if isinstance(rv.owner.op, ModalFeatureRV)]
     found = [rv for rv in found if name in (None, rv.name)]
     if len(found) != 1:
-        names = ", ".join(rv.name for rv in found) or "none"
-        raise ValueError(
-            f"`name` must be that of one ModalFeature of the model, got {name!r}: {names} found."
-        )
+        got = f"{name!r}: {', '.join(rv.name for rv in found) or 'none'} found"
+        raise refusal("`name` must be that of one ModalFeature of the model", got)
     [rv] = found
-    with model:
-        match = match_of(rv)
+    if isinstance(posterior, xr.DataTree):
+        posterior = check_group(posterior, "posterior", "posterior", "Pass what `sample` returned.")
     if posterior is None:
-        values, dims, coords = evaluate(model, match, initial_values(model)), (), {}
+        sizes, rows = {}, [value[None] for value in initial_values(model)]
     else:
-        draws = posterior
-        if isinstance(posterior, xr.DataTree):
-            draws = check_group(posterior, "posterior", "posterior", "Pass what `sample` returned.")
-        missing = [v.name for v in model.free_RVs if v.name not in draws]
+        missing = [v.name for v in model.free_RVs if v.name not in posterior]
         if missing:
-            raise ValueError(f"`posterior` must have all free variables of the model, got none of {missing}.")
-        if not all(draws.sizes.get(dim) for dim in ("chain", "draw")):
-            got = ", ".join(map(str, draws.dims)) or "no dimensions"
+            raise refusal("`posterior` must have all free variables of the model", f"none of {missing}")
+        sizes = {dim: posterior.sizes.get(dim, 0) for dim in ("chain", "draw")}
+        if not all(sizes.values()):
+            got = ", ".join(map(str, posterior.dims)) or "no dimensions"
             raise ValueError(message("posterior", "draws along chain and draw", got))
-        dims = ("chain", "draw")
-        coords = {dim: draws[dim].values for dim in dims}
-        values = evaluate_draws(model, match, draws)
-    fields = {"model_mode" if k == "mode" else k: ((*dims, "mode"), v) for k, v in values._asdict().items()}
-    table = xr.Dataset(fields, coords | {"mode": names_of(rv, model)})
+        draws = (posterior[v.name].transpose(*sizes, ...).values.astype(v.dtype) for v in model.free_RVs)
+        rows = [values.reshape((-1, *values.shape[2:])) for values in draws]
+    with model:
+        match = evaluate(model, match_of(rv), rows)
+    fields = {
+        name: ((*sizes, "mode"), values.reshape((*sizes.values(), -1)))
+        for name, values in zip(("model_mode", *Match._fields[1:]), match, strict=True)
+    }
+    coords = {dim: posterior[dim].values for dim in sizes} | {"mode": names_of(rv, model)}
+    table = xr.Dataset(fields, coords)
     partner = abs(table["deviation"]) <= deviations
     table["has_partner"] = partner & ((table["mac"] >= least_mac) | np.isnan(table["mac"]))
-    warn_of_strangers(rv.name, table, dims)
+    warn_of_strangers(rv.name, table, [*sizes])
     return table
 
 
@@ -374,34 +366,19 @@ def initial_values(model) -> list[np.ndarray]:
     return [np.asarray(x.eval(mode=ONCE)) for x in expressions]
 
 
-def function_of(model, outputs, *, batched=False):
-    """A function of the free variables, or of a batch of each, for tensors that depend on them."""
+def evaluate(model, match: Match, rows) -> Match:
+    """Partners, arrays (n, i), at n values of each free variable."""
     inputs = [rv.type() for rv in model.free_RVs]
-    outputs = graph_replace(outputs, dict(zip(model.free_RVs, inputs, strict=True)), strict=False)
-    if batched:
-        rows = [pt.tensor(dtype=x.dtype, shape=(None, *x.type.shape)) for x in inputs]
-        outputs = vectorize_graph(outputs, dict(zip(inputs, rows, strict=True)))
-        inputs = rows
-    return pytensor.function(inputs, outputs, mode=OFTEN if batched else ONCE, on_unused_input="ignore")
-
-
-def evaluate(model, match, values) -> Match:
-    """Partners at one point, as arrays."""
-    return Match(*function_of(model, list(match))(*values))
-
-
-def evaluate_draws(model, match, draws) -> Match:
-    """Partners at all draws, arrays (chain, draw, i)."""
-    function = function_of(model, list(match), batched=True)
-    columns = [draws[rv.name].transpose("chain", "draw", ...).values for rv in model.free_RVs]
-    chains, n = columns[0].shape[:2]
-    flat = [
-        np.asarray(c, dtype=rv.dtype).reshape(chains * n, *c.shape[2:])
-        for c, rv in zip(columns, model.free_RVs, strict=True)
-    ]
-    parts = [function(*(c[i : i + ROWS] for c in flat)) for i in range(0, chains * n, ROWS)]
-    joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    return Match(*(x.reshape(chains, n, *x.shape[1:]) for x in joined))
+    outputs = graph_replace(list(match), dict(zip(model.free_RVs, inputs, strict=True)), strict=False)
+    batches = [pt.tensor(dtype=x.dtype, shape=(None, *x.type.shape)) for x in inputs]
+    outputs = vectorize_graph(outputs, dict(zip(inputs, batches, strict=True)))
+    n = len(rows[0]) if rows else 1
+    mode = ONCE if n == 1 else OFTEN
+    function, parts = pytensor.function(batches, outputs, mode=mode, on_unused_input="ignore"), []
+    for start in range(0, n, ROWS):
+        found = function(*(x[start : start + ROWS] for x in rows))
+        parts.append([np.broadcast_to(x, (min(ROWS, n - start), x.shape[-1])) for x in found])
+    return Match(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def warn_at_start(rv):
@@ -413,14 +390,15 @@ def warn_at_start(rv):
             v.owner is not None and getattr(v.owner.op, "expensive", False) for v in ancestors(list(match))
         ):
             return
-        found = evaluate(model, match, initial_values(model))
+        found = evaluate(model, match, [value[None] for value in initial_values(model)])
+        frequency, agreement = found.frequency[0], found.mac[0]
     except Exception:  # a courtesy: whatever cannot be evaluated here is no error of the user's
         return
-    strangers = np.flatnonzero(found.mac < 0.5)
+    strangers = np.flatnonzero(agreement < 0.5)
     if strangers.size:
         labels = names_of(rv, model)
         listed = ", ".join(
-            f"{labels[i]} (MAC {found.mac[i]:.2f} at {found.frequency[i]:.4g} Hz)" for i in strangers
+            f"{labels[i]} (MAC {agreement[i]:.2f} at {frequency[i]:.4g} Hz)" for i in strangers
         )
         warn_caller(
             f"the shapes of these modes of {rv.name} have no partner at the model's initial point: {listed}. "

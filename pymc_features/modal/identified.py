@@ -1,4 +1,4 @@
-"""Identified modes as the likelihood takes them: checked, in one array without missing values."""
+"""Identified modes as the likelihood takes them: checked, by the mode of the structure that each is of."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -7,24 +7,25 @@ import numpy as np
 
 from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown, warn_caller
 from pymc_features.exceptions import ModalMatchWarning
-from pymc_features.modal.data import ModalData
+from pymc_features.modal.data import ModalData, mac
 from pymc_features.ops import by_labels
 
 FIELDS = ("frequencies", "shapes", "frequency_sd")
+SAME = 0.9  # MAC of a mode that an identification found twice
+LEAST = 1e-4  # standard deviation of ln f and of a shape of length one: three digits of a table are no more
 
 
 class Identified(NamedTuple):
-    """Identifications of modes, i of them at s channels, of g different modes.
+    """Up to k identifications of each of g modes, at s channels; NaN where there is none, or no entry.
 
     Shapes are of any scale, of one sense where a mode has several; s = 0 without shapes.
     """
 
-    frequencies: np.ndarray  # (i,), f^ [Hz]
-    sd: np.ndarray  # (i,), standard deviation of ln f^ [-], zero where none was identified
-    shapes: np.ndarray  # (i, s), phi^, real or complex, zero where an entry is missing
-    known: np.ndarray  # (i, s), 1 where an entry is known, 0 throughout a shape that says nothing
     labels: np.ndarray  # (g,), what each mode is called
-    groups: np.ndarray  # (g, i), 1 where an identification is of a mode
+    groups: np.ndarray  # (g, i), whether an identification, in the order of the data, is of a mode
+    frequencies: np.ndarray  # (g, k), f^ [Hz]
+    sd: np.ndarray  # (g, k), standard deviation of ln f^ [-], zero where none was identified
+    shapes: np.ndarray  # (g, k, s), phi^, real or complex
 
     @property
     def is_complex(self) -> bool:
@@ -32,43 +33,37 @@ class Identified(NamedTuple):
         return np.iscomplexobj(self.shapes)
 
     @property
-    def values(self) -> np.ndarray:
-        """The data in one array (i, 1 + s), or (i, 1 + 2 s) of complex shapes: f^, Re phi^, Im phi^."""
-        parts = [self.shapes.real, self.shapes.imag] if self.is_complex else [self.shapes]
-        return np.hstack([self.frequencies[:, None], *parts])
+    def columns(self) -> dict[str, np.ndarray]:
+        """The data (g, k), or their real and imaginary parts, by their names."""
+        parts = {"": self.shapes}
+        if self.is_complex:
+            parts = {"real ": self.shapes.real, "imaginary ": self.shapes.imag}
+        found = {"frequency": self.frequencies}
+        for part, values in parts.items():
+            found |= {f"{part}shape {j}": values[..., j] for j in range(values.shape[-1])}
+        return found
 
     @property
     def entries(self) -> list[str]:
         """Names of the columns of `values`."""
-        s = self.shapes.shape[1]
-        names = [f"shape {j}" for j in range(s)]
-        if self.is_complex:
-            names = [f"{part} {name}" for part in ("real", "imaginary") for name in names]
-        return ["frequency", *names]
+        k = self.frequencies.shape[1]
+        return [name if k == 1 else f"{name}.{j}" for j in range(k) for name in self.columns]
 
     @property
-    def by_label(self) -> np.ndarray:
-        """`values` with a row for each mode, (g, k (1 + s)): those of its identifications, then zeros."""
-        return by_label(self.values, self.groups).reshape(len(self.groups), -1)
+    def values(self) -> np.ndarray:
+        """The data with a row for each mode, those of its identifications one after another, zero for NaN."""
+        return np.nan_to_num(np.stack([*self.columns.values()], axis=-1)).reshape(len(self.labels), -1)
 
     @property
-    def known_by_label(self) -> np.ndarray:
-        """1 where an entry of `by_label` is known, else 0."""
-        parts = [np.ones((len(self.known), 1)), *[self.known] * (2 if self.is_complex else 1)]
-        return by_label(np.hstack(parts), self.groups).reshape(len(self.groups), -1)
-
-    @property
-    def entries_by_label(self) -> list[str]:
-        """Names of the columns of `by_label`."""
-        k = rows_by_label(self.groups).shape[1]
-        return self.entries if k == 1 else [f"{entry}.{j}" for j in range(k) for entry in self.entries]
+    def known(self) -> np.ndarray:
+        """1 where an entry of `values` is known, else 0."""
+        known = ~np.isnan(np.stack([*self.columns.values()], axis=-1))
+        return known.reshape(len(self.labels), -1).astype(np.float64)
 
     @property
     def scatter(self) -> tuple[np.ndarray, np.ndarray]:
-        """Standard deviation of ln f^, and mean square of shapes of length one, both (g, k)."""
-        of_f = frequency_scatter(self.frequencies, self.sd, self.groups)
-        of_shapes = shape_scatter(self.shapes, self.known, self.groups)
-        return by_label(of_f, self.groups, 1.0), by_label(of_shapes, self.groups)
+        """Standard deviation of ln f^, mean square of shapes of length one, (g, k), besides model errors."""
+        return log_scatter(np.log(self.frequencies), self.sd), shape_scatter(self.shapes)
 
 
 def identified(observed, labels=None) -> Identified:
@@ -84,33 +79,31 @@ def identified(observed, labels=None) -> Identified:
         found twice.
     """
     if isinstance(observed, Mapping):
-        unknown = sorted(set(observed) - set(FIELDS))
-        if unknown or "frequencies" not in observed:
+        if not set(observed) <= set(FIELDS) or "frequencies" not in observed:
             raise ValueError(message("observed", f"a mapping of {', '.join(FIELDS)}", ", ".join(observed)))
-        frequencies, shapes, sd = (observed.get(name) for name in FIELDS)
+        given = observed
     elif hasattr(observed, "frequencies"):
-        frequencies, shapes, sd = (getattr(observed, name, None) for name in FIELDS)
+        given = {name: getattr(observed, name, None) for name in FIELDS}
         labels = getattr(observed, "labels", None) if labels is None else labels
     else:
-        frequencies, shapes, sd = observed, None, None
-    frequencies = ModalData(frequencies).frequencies
-    shapes, known = _shapes(by_labels(shapes, axes=("mode", "sensor")), frequencies.size)
-    sd = _sd(sd, frequencies) / frequencies
+        given = {"frequencies": observed}
+    frequencies = ModalData(given["frequencies"]).frequencies
+    shapes = _shapes(by_labels(given.get("shapes"), axes=("mode", "sensor")), frequencies.size)
+    sd = _sd(given.get("frequency_sd"), frequencies) / frequencies
     if labels is None:
-        labels = _numbers(doubles(np.log(frequencies), sd, shapes, known))
+        labels = _numbers(doubles(np.log(frequencies), sd, shapes))
     owner, names = _labels(labels, frequencies.size)
-    groups = (owner == np.arange(len(names))[:, None]).astype(np.float64)
-    shapes = in_one_sense(shapes, groups)
-    return Identified(frequencies, sd, shapes, known, names, groups)
+    groups = owner == np.arange(len(names))[:, None]
+    rows = np.full((len(names), groups.sum(axis=1).max()), -1)
+    rows[owner, groups.cumsum(axis=1)[owner, np.arange(owner.size)] - 1] = np.arange(owner.size)
+    by_mode = [np.append(x, np.full_like(x[:1], np.nan), axis=0)[rows] for x in (frequencies, sd, shapes)]
+    return Identified(names, groups, *by_mode[:2], in_one_sense(by_mode[2]))
 
 
-def identification_names(labels, owner) -> list[str]:
-    """Names of identifications: the label of each one's mode, with a number where it has several."""
-    owner = list(owner)
-    return [
-        f"{labels[g]}" if owner.count(g) == 1 else f"{labels[g]}.{owner[:i].count(g)}"
-        for i, g in enumerate(owner)
-    ]
+def identification_names(labels, there) -> list[str]:
+    """Names of identifications (g, k): the label of each one's mode, with a number where it has several."""
+    several = np.sum(there, axis=1) > 1
+    return [f"{labels[g]}.{j}" if several[g] else f"{labels[g]}" for g, j in np.argwhere(there)]
 
 
 def _sd(sd, frequencies):
@@ -124,9 +117,9 @@ def _sd(sd, frequencies):
 
 
 def _shapes(shapes, n):
-    """Shapes without NaN, and where they are known; a shape of one entry says nothing."""
+    """Shapes (n, s), s = 0 without; a shape of one entry says nothing."""
     if shapes is None:
-        return np.zeros((n, 0)), np.zeros((n, 0))
+        return np.zeros((n, 0))
     shapes = as_numbers(shapes, "shapes", allow_complex=True)
     if shapes.ndim != 2 or shapes.shape[0] != n:
         what = f"({n}, channels) to match `frequencies`"
@@ -136,13 +129,27 @@ def _shapes(shapes, n):
         raise ValueError(message("shapes", "finite", "infinity", "Pass NaN where a channel is missing."))
     known = ~np.isnan(shapes)
     known &= known.sum(axis=1, keepdims=True) > 1
-    shapes = np.where(known, shapes, 0.0)
-    zero = known.any(axis=1) & ~shapes.any(axis=1)
+    zero = known.any(axis=1) & ~np.where(known, shapes, 0.0).any(axis=1)
     if zero.any():
         got = f"zeros in row {zero.argmax()}"
         raise ValueError(message("shapes", "not zero", got, "Pass NaN where a shape is missing."))
-    kind = np.complex128 if np.iscomplexobj(shapes) else np.float64
-    return shapes.astype(kind), known.astype(np.float64)
+    return np.where(known, shapes, np.nan)
+
+
+def doubles(ln_f, sd, shapes) -> np.ndarray:
+    """Number (i,) of the first identification that each is the same as, its own if there is none before it.
+
+    The same are those whose frequencies are closer than their standard deviations and whose shapes agree, at
+    three channels or more.
+    """
+    known = (~np.isnan(shapes)).astype(np.int64)
+    same = (known @ known.T > 2) & (mac(shapes, shapes) > SAME)
+    same &= np.abs(ln_f[:, None] - ln_f) < sd[:, None] + sd
+    owner = np.arange(len(ln_f))
+    for i in owner:
+        if same[i, :i].any():
+            owner[i] = owner[same[i].argmax()]
+    return owner
 
 
 def _numbers(owner):
@@ -171,96 +178,53 @@ def _labels(labels, n):
     return np.argsort(order)[owner], names[order]
 
 
-# --- several identifications of one mode: by label, in one sense, and how much they scatter ---------------
-
-SAME = 0.9  # MAC of a mode that an identification found twice
-LEAST = 1e-4  # standard deviation of ln f and of a shape of length one: three digits of a table are no more
+# --- several identifications of one mode: in one sense, and how much they scatter --------------------------
 
 
-def rows_by_label(groups) -> np.ndarray:
-    """Rows (g, k) of the identifications of each mode, -1 where it has fewer than k, from ones (g, i)."""
-    places = [np.flatnonzero(row) for row in groups]
-    k = max(map(len, places))
-    return np.array([np.pad(p, (0, k - len(p)), constant_values=-1) for p in places])
-
-
-def by_label(values, groups, missing=0.0) -> np.ndarray:
-    """Values (i, ...) of identifications as (g, k, ...)."""
-    rows = rows_by_label(groups)
-    found = values[rows]
-    found[rows < 0] = missing
-    return found
-
-
-def in_one_sense(shapes, groups) -> np.ndarray:
-    """Shapes (i, s) with those of one mode turned by the phases, or signs, by which they agree best.
+def in_one_sense(shapes) -> np.ndarray:
+    """Shapes (g, k, s) with those of one mode turned by the phases, or signs, by which they agree best.
 
     The Gram matrix of e^(i a_j) v has the leading eigenvector e^(i a_j). A mode with one shape keeps it.
     """
-    turned = shapes.copy()
-    for row in groups:
-        own = np.flatnonzero(row)
-        if own.size > 1 and shapes.shape[1]:
-            x = unit_rows(shapes[own])
-            u = np.linalg.eigh(x @ x.conj().T)[1][:, -1]
-            size = np.abs(u)
-            turned[own] *= np.where(size > 0.0, u.conj() / np.where(size > 0.0, size, 1.0), 1.0)[:, None]
-    return turned
+    x = np.nan_to_num(unit_rows(shapes))
+    u = np.linalg.eigh(x @ x.conj().swapaxes(1, 2))[1][..., -1:]
+    size = np.abs(u)
+    several = x.any(axis=2).sum(axis=1)[:, None, None] > 1
+    return shapes * np.where(several & (size > 0.0), u.conj() / np.where(size > 0.0, size, 1.0), 1.0)
 
 
 def unit_rows(shapes) -> np.ndarray:
-    """Rows of length one; rows of zeros stay."""
-    length = np.linalg.norm(shapes, axis=1, keepdims=True)
+    """Shapes of length one, at the channels that are known."""
+    length = np.linalg.norm(np.nan_to_num(shapes), axis=-1, keepdims=True)
     return shapes / np.where(length > 0.0, length, 1.0)
 
 
-def frequency_scatter(frequencies, sd, groups) -> np.ndarray:
-    """Standard deviations (i,) of ln f^ of each identification, besides the error of the model.
+def deviations(x) -> tuple[np.ndarray, np.ndarray]:
+    """Squares of x (g, k, ...) about the mean of each mode, zero for NaN, and how many are more than one."""
+    known = ~np.isnan(x)
+    count = known.sum(axis=1, keepdims=True)
+    mean = np.nan_to_num(x).sum(axis=1, keepdims=True) / np.maximum(count, 1)
+    return np.abs(np.where(known, x - mean, 0.0)) ** 2, np.maximum(count - 1, 0)
+
+
+def log_scatter(x, sd) -> np.ndarray:
+    """Standard deviations (g, k) of logarithms x besides the error of the model, 1 where there is no x.
 
     Those that were identified; where there are none, of modes with several identifications, the deviation
     from the mean of each mode, pooled over modes.
     """
-    counts = groups.sum(axis=1)
-    repeated = (counts @ groups) > 1
-    ln_f = np.log(frequencies)
-    off = ln_f - (groups @ ln_f / counts) @ groups
-    pooled = np.sqrt(np.sum(off**2) / max(1.0, np.sum(counts - 1.0)))
-    return np.where(repeated & (sd == 0.0), max(pooled, LEAST), sd)
+    squares, more = deviations(x)
+    pooled = np.sqrt(np.sum(squares) / max(1, np.sum(more)))
+    return np.where(np.isnan(x), 1.0, np.where((more > 0) & (sd == 0.0), max(pooled, LEAST), sd))
 
 
-def shape_scatter(shapes, known, groups) -> np.ndarray:
-    """Mean square (i,) by which shapes of length one differ from the mean of their mode; zero of lone shapes.
+def shape_scatter(shapes) -> np.ndarray:
+    """Mean square (g, k) by which shapes of length one differ from the mean of their mode; zero of lone ones.
 
     Pooled over modes and channels, for the channels that an identification has.
     """
-    x = unit_rows(shapes)
-    counts = groups @ known
-    mean = groups @ x / np.maximum(counts, 1.0)
-    off = np.where(known > 0.0, x - groups.T @ mean, 0.0)
-    free = np.sum(np.maximum(counts - 1.0, 0.0))
-    each = max(np.sum(np.abs(off) ** 2) / max(1.0, free), LEAST**2)
-    has_shape = known.any(axis=1)
-    repeated = (groups @ has_shape) @ groups > 1
-    return np.where(has_shape & repeated, each * known.sum(axis=1), 0.0)
-
-
-def doubles(ln_f, sd, shapes, known) -> np.ndarray:
-    """Number (i,) of the first identification that each is the same as, its own if there is none before it.
-
-    The same are those whose frequencies are closer than their standard deviations and whose shapes agree, at
-    three channels or more.
-    """
-    owner = np.arange(len(ln_f))
-    for i in range(len(ln_f)):
-        for j in range(i):
-            both = known[i] * known[j]
-            x, y = shapes[i] * both, shapes[j] * both
-            norms = np.linalg.norm(x) * np.linalg.norm(y)
-            if (
-                both.sum() > 2
-                and abs(ln_f[i] - ln_f[j]) < sd[i] + sd[j]
-                and abs(x @ y.conj()) ** 2 > SAME * norms**2
-            ):
-                owner[i] = owner[j]
-                break
-    return owner
+    squares, more = deviations(unit_rows(shapes))
+    each = max(np.sum(squares) / max(1, np.sum(more)), LEAST**2)
+    channels = (~np.isnan(shapes)).sum(axis=2)
+    several = (channels > 0).sum(axis=1, keepdims=True) > 1
+    return np.where(several, each * channels, 0.0)

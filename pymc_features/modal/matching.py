@@ -24,23 +24,23 @@ IMPOSSIBLE = 1e100  # what a cost that is infinite or NaN counts as
 
 
 def one_minus_mac(shapes, parts, known):
-    """1 - MAC of each measured shape and each of the model, a tensor (i, m).
+    """1 - MAC of each measured shape and each of the model, a tensor (..., m).
 
     Parameters
     ----------
     shapes : tensor (m, s)
         Of the model, real.
-    parts : list of tensor (i, s)
+    parts : list of tensor (..., s)
         Real, and imaginary, part of the measured shapes, zero where an entry is missing.
-    known : tensor (i, s)
+    known : tensor (..., s)
         1 where an entry is known; rows of zeros are shapes that are missing, and give zero.
     """
     products = sum(pt.sqr(pt.dot(part, shapes.T)) for part in parts)
-    own = sum(pt.sum(pt.sqr(part), axis=-1) for part in parts)[:, None]
+    own = sum(pt.sum(pt.sqr(part), axis=-1) for part in parts)[..., None]
     norms = own * pt.dot(known, pt.sqr(shapes).T)
     there = pt.gt(norms, 0.0)
     mac = products / pt.switch(there, norms, 1.0)
-    has_shape = pt.gt(pt.sum(known, axis=-1), 0.0)[:, None]
+    has_shape = pt.gt(pt.sum(known, axis=-1), 0.0)[..., None]
     return pt.switch(has_shape, pt.switch(there, 1.0 - mac, 1.0), 0.0)
 
 

@@ -69,7 +69,6 @@ CALLS = {
         },
         instead={
             "pymc_features.modal.feature.evaluate": work,
-            "pymc_features.modal.feature.evaluate_draws": work,
             "pymc_features.modal.feature.match_of": str,
         },
     ),
