@@ -7,6 +7,7 @@ The data are responses to a band-limited motion by a simulator of its own, `benc
 from benchmarks.coverage.ambient import run_ambient
 from benchmarks.coverage.bounds import run_bounds
 from benchmarks.coverage.cyclic import run_cyclic
+from benchmarks.coverage.damping import run_damping
 from benchmarks.coverage.errors import ERRORS
 from benchmarks.coverage.events import run_events
 from benchmarks.coverage.frequency_response import run_frequency_response
@@ -23,6 +24,7 @@ PARTS = {
     "steps": run_steps,
     "identified": run_identified,
     "modes": run_modes,
+    "damping": run_damping,
     "ambient": run_ambient,
     "bounds": run_bounds,
     "model errors": run_model_errors,

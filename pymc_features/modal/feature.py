@@ -36,8 +36,8 @@ from pymc_features.modal.data import refusal
 from pymc_features.modal.identified import Identified, identification_names, identified
 from pymc_features.modal.matching import (
     ModalFeatureRV,
+    Parameters,
     log_densities,
-    masks,
     matched,
     one_minus_mac,
     variances,
@@ -45,18 +45,20 @@ from pymc_features.modal.matching import (
 from pymc_features.modal.structural_modes import SymbolicModes
 from pymc_features.ops import as_tensor, known_dims
 
-DENSITIES = {"TN": 1.0, "EXP": 2.0}  # degrees of freedom
+DENSITIES = {"TN": 1.0, "EXP": 2.0}  # degrees of freedom of 1 - MAC
+BY_ENTRY = "NORMAL"  # the law of each entry of a shape
 ONCE = Mode(linker="py", optimizer=None)
 OFTEN = Mode(linker="py", optimizer="fast_run")
 ROWS = 256  # draws in one call
 
 
 class ModalFeature(Continuous):
-    r"""Likelihood of identified natural frequencies and mode shapes.
+    r"""Likelihood of identified natural frequencies, mode shapes and damping ratios.
 
     .. math::
 
         \ln \hat f_i \sim \mathcal{N}(\ln f_r, s_i^2 + \sigma_f^2), \qquad
+        \ln \hat\zeta_i \sim \mathcal{N}(\ln \zeta_r, t_i^2 + \sigma_\zeta^2), \qquad
         \frac{1 - \mathrm{MAC}_{ir}}{\sigma_\phi^2} \sim \chi^2_m, \qquad
         1 - \mathrm{MAC}_{ir} = \min_a \frac{\| a \phi_r - \hat\phi_i \|^2}{\| \hat\phi_i \|^2}
 
@@ -68,21 +70,29 @@ class ModalFeature(Continuous):
 
     Parameters
     ----------
-    modes : SymbolicModes, or tuple of frequencies (m,) [Hz] and shapes (m, s)
+    modes : SymbolicModes, or tuple of frequencies (m,) [Hz], shapes (m, s) and damping ratios (m,)
         Of the model, from `modes`, at the channels of the data: more of them than were identified, so that
-        none leaves the list where modes change places.
+        none leaves the list where modes change places. Damping ratios may be left out without `sigma_zeta`.
     observed : ModalData, mapping or array_like (i,)
         Identified modes: `frequencies` (i,) [Hz]; `shapes` (i, s) or None, real or complex, of any scale and
-        sign, NaN where an entry is missing; `frequency_sd` (i,) [Hz] or None. An array stands for frequencies
-        alone. Shapes with fewer than two entries say nothing and are left out.
+        sign, NaN where an entry is missing; `frequency_sd` (i,) [Hz] or None; `damping_ratios` and
+        `damping_sd` (i,) or None, fractions of critical, NaN where they are not known; `shape_sd` (i, s) or
+        None, in the scale of the shapes. An array stands for frequencies alone. Shapes with fewer than two
+        entries say nothing and are left out.
     sigma_f : tensor_like () or (g,)
         Standard deviation of ln f that is not in `frequency_sd` [-]: the error of the model, one or one for
         each mode. Positive, or zero where each frequency has a standard deviation.
     sigma_phi : tensor_like () or (g,), optional
         Scale of the root of 1 - MAC [-], positive; needed with shapes. The law of 1 - MAC is not cut off at
-        1: it should be well below 0.5.
-    density : {"EXP", "TN"} or tensor_like () or (g,)
-        Law of 1 - MAC, or its degrees of freedom m, positive.
+        1: it should be well below 0.5. With ``density="NORMAL"`` the error of the model in each entry over
+        the root mean square of all entries; it may be zero where each entry has a standard deviation.
+    sigma_zeta : tensor_like () or (g,), optional
+        Standard deviation of ln zeta that is not in `damping_sd` [-]: the error of the model, often 0.2 and
+        more. Positive, or zero where each ratio has a standard deviation. Without it damping ratios are not
+        compared.
+    density : {"EXP", "TN", "NORMAL"} or tensor_like () or (g,)
+        Law of 1 - MAC, or its degrees of freedom m, positive. "NORMAL": each entry of a real shape is normal,
+        with `shape_sd` and `sigma_phi`, see Notes.
     labels : sequence (i,), optional
         Which mode each identification is of, where there are several of one: those of equal labels take the
         same mode of the model, and share its error. By default those of the data, as `read_modal` finds
@@ -93,7 +103,8 @@ class ModalFeature(Continuous):
     Raises
     ------
     ValueError, TypeError
-        If shapes do not match, the model has fewer modes than were identified, or a number is not positive.
+        If shapes do not match, the model has fewer modes than were identified, damping ratios are missing
+        where they are asked for, or a number is not positive.
 
     Warns
     -----
@@ -120,18 +131,44 @@ class ModalFeature(Continuous):
         C = \sigma_\phi^2 \, 1 1^T + \tau^2 I, \quad
         \ln p = -\tfrac{1}{2} [\, m \ln |C| + \mathrm{tr}(C^{-1} D) \,], \quad D_{ij} = d_i \cdot d_j
 
-    with b integrated out in closed form. The scatter is `frequency_sd`, or where there is none the deviation
-    from the mean of each mode, pooled over modes; that of shapes is pooled likewise (at least 1e-4, as
-    numbers of a table are rounded). Tests that scatter more than `frequency_sd` says should come without it.
+    with b integrated out in closed form; likewise ln zeta, with t_i the ratio of `damping_sd` to the damping
+    ratio. The scatter is `frequency_sd`, or where there is none the deviation from the mean of each mode,
+    pooled over modes; that of damping and shapes is pooled likewise (at least 1e-4, as numbers of a table are
+    rounded). Tests that scatter more than `frequency_sd` says should come without it.
+
+    **Entries with standard deviations of their own** (``density="NORMAL"``): with x_i a measured shape over
+    its root mean square, s_ij of `shape_sd` in that scale,
+
+    .. math::
+
+        x_i = a_i \phi_r + b + n_i, \qquad b_j \sim \mathcal{N}(0, \sigma_\phi^2), \qquad
+        n_{ij} \sim \mathcal{N}(0, s_{ij}^2)
+
+    where the error of the model b is one for all identifications of a mode. The scale and sense a_i of each
+    is free, with a flat density of the length of a_i phi_r. Both are integrated out in closed form: what is
+    left is the density of the part of the shapes across phi_r (tests/modal/test_damping.py).
 
     One log-likelihood value for each mode, however many identifications it has, so that LOO leaves out a mode
-    with all its tests. A draw has a frequency and a shape of length one for each identification, of the mode
-    that the data are matched with, and along `{name}_entry` one after another; missing entries are zero.
+    with all its tests. A draw has a frequency, a damping ratio where it is compared, and a shape of length
+    one (of a root mean square of one with "NORMAL") for each identification, of the mode that the data are
+    matched with, and along `{name}_entry` one after another; missing entries are zero.
 
     References
     ----------
     Eqs. (3), (7) and (9) of the source. M. W. Vanik, J. L. Beck & S.-K. Au, J. Eng. Mech. 126 (2000) 738-745:
     modal data in Bayesian updating.
+
+    Examples
+    --------
+    One mode, of 2 Hz and 2 % in the model: ln f is 0.02 off and ln zeta 0.3, errors are 0.02 and 0.3, so
+    that the log-likelihood is -ln(2 pi 0.02 0.3) - 1/2 - 1/2.
+
+    >>> observed = {"frequencies": [2.0 * np.exp(0.02)], "damping_ratios": [0.02 * np.exp(0.3)]}
+    >>> with pm.Model() as model:
+    ...     found = [2.0], np.zeros((1, 0)), [0.02]
+    ...     y = ModalFeature("y", found, observed=observed, sigma_f=0.02, sigma_zeta=0.3)
+    ...     print(model.logp().eval().round(6), round(-np.log(2.0 * np.pi * 0.02 * 0.3) - 1.0, 6))
+    2.278119 2.278119
     """
 
     rv_type = ModalFeatureRV
@@ -145,15 +182,16 @@ class ModalFeature(Continuous):
         observed: Mapping | ArrayLike,
         sigma_f: TensorLike,
         sigma_phi: TensorLike | None = None,
+        sigma_zeta: TensorLike | None = None,
         density: str | TensorLike = "EXP",
         labels: Sequence | None = None,
         dims: Sequence[str] | None = None,
     ) -> TensorVariable:
         check_name(name)
-        data, dims = identified(observed, labels), known_dims(dims, 2)
+        data, dims = identified(observed, labels, damping=sigma_zeta is not None), known_dims(dims, 2)
         if dims is None:
             dims = add_coordinates(name, data)
-        parameters = checked_parameters(modes, data, sigma_f, sigma_phi, density)
+        parameters = checked_parameters(modes, data, sigma_f, sigma_phi, density, sigma_zeta)
         rv = super().__new__(cls, name, *parameters, observed=data.values, dims=dims)
         warn_at_start(rv)
         return rv
@@ -171,16 +209,19 @@ def add_coordinates(name, data: Identified) -> tuple[str, str]:
     return tuple(coords)
 
 
-def checked_parameters(modes, data: Identified, sigma_f, sigma_phi, density) -> list[TensorVariable]:
+def checked_parameters(
+    modes, data: Identified, sigma_f, sigma_phi, density, sigma_zeta=None
+) -> list[TensorVariable]:
     """Parameters of the random variable, in its order."""
     listed = as_list(modes)
     if not listed:
         raise TypeError(message("modes", "frequencies (m,) and shapes (m, s)", shown(modes)))
-    pair = (*listed, np.zeros((0, 0)))[:2]
-    frequencies, shapes = (as_tensor(x, "modes", "Pass what `modes` returned.") for x in pair)
-    if frequencies.ndim != 1 or shapes.ndim != 2:
-        what = "`modes` must be frequencies (m,) and shapes (m, s)"
-        got = f"{frequencies.ndim} and {shapes.ndim} dimensions"
+    found = [*listed, *(None, np.zeros((0, 0)), np.zeros(0))[len(listed) :]][:3]
+    found = [as_tensor(x, "modes", "Pass what `modes` returned.") for x in found]
+    (frequencies, shapes, ratios), ndims = found, [x.ndim for x in found]
+    if ndims != [1, 2, 1]:
+        what = "`modes` must be frequencies (m,), shapes (m, s) and perhaps damping ratios (m,)"
+        got = f"{ndims[0]}, {ndims[1]} and {ndims[2]} dimensions"
         raise refusal(what, got, "Pass what `modes` returned.")
     (g, _, s), [m] = data.shapes.shape, frequencies.type.shape
     if m is not None and m < g:
@@ -193,22 +234,45 @@ def checked_parameters(modes, data: Identified, sigma_f, sigma_phi, density) -> 
     if s and sigma_phi is None:
         what, advice = "`sigma_phi` must be given with shapes", "Pass the scale of the root of 1 - MAC."
         raise refusal(what, None, advice)
-    if isinstance(density, str) and density not in DENSITIES:
-        what = f"one of {', '.join(DENSITIES)} or degrees of freedom"
+    if data.damping is None:
+        ratios = np.zeros(0)
+    elif len(listed) < 3:
+        what = "`modes` must have damping ratios (m,) where `sigma_zeta` is given"
+        raise refusal(what, "frequencies and shapes alone", "Pass what `modes` returned.")
+    by_entry = isinstance(density, str) and density == BY_ENTRY
+    if isinstance(density, str) and not by_entry and density not in DENSITIES:
+        what = f"one of {', '.join((*DENSITIES, BY_ENTRY))} or degrees of freedom"
         raise ValueError(message("density", what, shown(density)))
-    degrees = DENSITIES[density] if isinstance(density, str) else density
-    has_sd = bool((data.sd[~np.isnan(data.sd)] > 0.0).all())
-    parameters = [
+    if by_entry and data.is_complex:
+        advice = "Pass `observed.real()`, or another density."
+        raise refusal(f'`shapes` must be real for density="{BY_ENTRY}"', "complex ones", advice)
+    sigma_phi, sigma_zeta = (1.0 if sigma is None else sigma for sigma in (sigma_phi, sigma_zeta))
+    degrees = 1.0 if by_entry else DENSITIES[density] if isinstance(density, str) else density
+    parameters = Parameters(
         frequencies,
+        ratios,
         shapes,
-        scale("sigma_f", sigma_f, g, allow_zero=has_sd),
-        scale("sigma_phi", 1.0 if sigma_phi is None else sigma_phi, g),
+        scale("sigma_f", sigma_f, g, allow_zero=all_positive(data.frequencies, data.sd)),
+        scale(
+            "sigma_zeta",
+            1.0 if sigma_zeta is None else sigma_zeta,
+            g,
+            allow_zero=all_positive(data.damping, data.damping_sd),
+        ),
+        scale("sigma_phi", sigma_phi, g, allow_zero=by_entry and all_positive(data.shapes, data.shape_sd)),
         scale("density", degrees, g),
-        *map(pt.as_tensor_variable, data.scatter),
-    ]
-    known = pt.as_tensor_variable(data.known)
-    density = log_densities(pt.as_tensor_variable(data.values), *parameters, known=known)
-    return [*parameters, known, matched(density)]
+        *data.scatter(by_entry and s > 1),
+        data.known,
+        np.zeros((g, 0)),
+    )
+    parameters = Parameters(*map(pt.as_tensor_variable, parameters))
+    match = matched(log_densities(pt.as_tensor_variable(data.values), parameters))
+    return list(parameters._replace(match=match))
+
+
+def all_positive(values, sd) -> bool:
+    """Whether all values that are known have a standard deviation."""
+    return values is not None and bool((sd[~np.isnan(values)] > 0.0).all())
 
 
 def scale(name, value, n, *, allow_zero=False):
@@ -235,31 +299,26 @@ class Match(NamedTuple):
 def match_of(rv) -> Match:
     """Partners under the parameters of a `ModalFeature`."""
     value = pm.modelcontext(None).rvs_to_values[rv]
-    _, _, *parameters, known, _ = rv.owner.inputs
-    frequencies, shapes, *errors = parameters
-    k = errors[3].type.shape[-1]
-    n = known.type.shape[-1] // k
-    chosen = matched(log_densities(value, *parameters, known=known))
-    there, mask = masks(known, k, shapes)
-    (shared, each), _ = variances(*errors, there)
-    rows = np.flatnonzero(there.eval(mode=ONCE))
-    value = value.reshape((-1, n))[rows]
-    chosen = chosen[rows // k]
-    frequency = pt.dot(chosen, frequencies)
+    p = Parameters(*rv.owner.inputs[2:])
+    there, _, masks = p.split(p.known)
+    rows = np.nonzero(there.eval(mode=ONCE))
+    measured, _, parts = p.split(value)
+    chosen = matched(log_densities(value, p))[rows[0]]
+    frequency = pt.dot(chosen, p.frequencies)
     mac = pt.full_like(frequency, np.nan)
-    if s := mask.type.shape[-1]:
-        mask = mask.reshape((-1, s))[rows]
-        parts = [value[:, 1 + i : 1 + i + s] for i in range(0, n - 1, s)]
-        e = pt.sum(chosen * one_minus_mac(shapes, parts, mask), axis=-1)
+    if masks:
+        mask = masks[0][rows]
+        e = pt.sum(chosen * one_minus_mac(p.shapes, [part[rows] for part in parts], mask), axis=-1)
         mac = pt.switch(pt.any(mask > 0.0, axis=-1), 1.0 - e, np.nan)
-    sd = pt.sqrt(shared + each).flatten()[rows]
-    return Match(pt.argmax(chosen, axis=-1), frequency, (pt.log(value[:, 0]) - pt.log(frequency)) / sd, mac)
+    off = pt.log(measured[rows]) - pt.log(frequency)
+    sd = pt.sqrt(sum(variances(p.sigma_f, p.sd_f, there)))[rows]
+    return Match(pt.argmax(chosen, axis=-1), frequency, off / sd, mac)
 
 
 def names_of(rv, model) -> list[str]:
     """Names of the identifications, in the order of `match_of`."""
-    *_, scatter, known, _ = rv.owner.inputs
-    there = masks(known, scatter.type.shape[-1], rv.owner.inputs[3])[0].eval(mode=ONCE)
+    p = Parameters(*rv.owner.inputs[2:])
+    there = p.split(p.known)[0].eval(mode=ONCE)
     dim, *_ = model.named_vars_to_dims.get(rv.name, (None,))
     return identification_names(model.coords.get(dim) or range(len(there)), there)
 

@@ -7,10 +7,10 @@ import numpy as np
 
 from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown, warn_caller
 from pymc_features.exceptions import ModalMatchWarning
-from pymc_features.modal.data import ModalData, mac
+from pymc_features.modal.data import ModalData, mac, refusal
 from pymc_features.ops import by_labels
 
-FIELDS = ("frequencies", "shapes", "frequency_sd")
+FIELDS = ("frequencies", "shapes", "frequency_sd", "damping_ratios", "damping_sd", "shape_sd")
 SAME = 0.9  # MAC of a mode that an identification found twice
 LEAST = 1e-4  # standard deviation of ln f and of a shape of length one: three digits of a table are no more
 
@@ -26,6 +26,11 @@ class Identified(NamedTuple):
     frequencies: np.ndarray  # (g, k), f^ [Hz]
     sd: np.ndarray  # (g, k), standard deviation of ln f^ [-], zero where none was identified
     shapes: np.ndarray  # (g, k, s), phi^, real or complex
+    shape_sd: (
+        np.ndarray
+    )  # (g, k, s), standard deviations in the scale of the shapes, zero where none is known
+    damping: np.ndarray | None = None  # (g, k), zeta^, None where it is not compared
+    damping_sd: np.ndarray | None = None  # (g, k), standard deviation of ln zeta^, zero where none is known
 
     @property
     def is_complex(self) -> bool:
@@ -39,6 +44,7 @@ class Identified(NamedTuple):
         if self.is_complex:
             parts = {"real ": self.shapes.real, "imaginary ": self.shapes.imag}
         found = {"frequency": self.frequencies}
+        found |= {} if self.damping is None else {"damping": self.damping}
         for part, values in parts.items():
             found |= {f"{part}shape {j}": values[..., j] for j in range(values.shape[-1])}
         return found
@@ -60,23 +66,32 @@ class Identified(NamedTuple):
         known = ~np.isnan(np.stack([*self.columns.values()], axis=-1))
         return known.reshape(len(self.labels), -1).astype(np.float64)
 
-    @property
-    def scatter(self) -> tuple[np.ndarray, np.ndarray]:
-        """Standard deviation of ln f^, mean square of shapes of length one, (g, k), besides model errors."""
-        return log_scatter(np.log(self.frequencies), self.sd), shape_scatter(self.shapes)
+    def scatter(self, by_entry: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What identifications scatter besides the error of the model.
+
+        Standard deviations (g, k) of ln f^ and ln zeta^, (g, 0) where damping is not compared; mean squares
+        (g, k) of shapes of length one, or variances (g, k s) of entries where their mean square is one.
+        """
+        of_f, of_zeta = log_scatter(self.frequencies, self.sd), np.zeros((len(self.labels), 0))
+        if self.damping is not None:
+            of_zeta = log_scatter(self.damping, self.damping_sd)
+        of_entries = entry_scatter(self.shapes, self.shape_sd) if by_entry else shape_scatter(self.shapes)
+        return of_f, of_zeta, of_entries
 
 
-def identified(observed, labels=None) -> Identified:
+def identified(observed, labels=None, *, damping: bool = False) -> Identified:
     """Check identified modes.
 
     Parameters
     ----------
-    observed : object or mapping with `frequencies`, `shapes` and `frequency_sd`, or array_like (i,)
-        Frequencies [Hz] (i,), shapes (i, s) or None, standard deviations (i,) [Hz] or None; an array is
-        frequencies alone.
+    observed : object or mapping with some of `FIELDS`, as of `ModalData`, or array_like (i,)
+        Frequencies [Hz] (i,), shapes (i, s) or None, standard deviations (i,) [Hz] or None, and so on; an
+        array is frequencies alone.
     labels : sequence (i,), optional
         Which mode each identification is of; by default each is of a mode of its own, but those that were
         found twice.
+    damping : bool
+        Whether damping ratios are compared.
     """
     if isinstance(observed, Mapping):
         if not set(observed) <= set(FIELDS) or "frequencies" not in observed:
@@ -88,16 +103,22 @@ def identified(observed, labels=None) -> Identified:
     else:
         given = {"frequencies": observed}
     frequencies = ModalData(given["frequencies"]).frequencies
-    shapes = _shapes(by_labels(given.get("shapes"), axes=("mode", "sensor")), frequencies.size)
-    sd = _sd(given.get("frequency_sd"), frequencies) / frequencies
+    arrays = {"frequencies": frequencies}
+    arrays["shapes"], arrays["shape_sd"] = _shapes(
+        given.get("shapes"), given.get("shape_sd"), frequencies.size
+    )
+    arrays["sd"] = _sd(given.get("frequency_sd"), frequencies) / frequencies
+    if damping:
+        arrays["damping"], arrays["damping_sd"] = _damping(given, frequencies)
     if labels is None:
-        labels = _numbers(doubles(np.log(frequencies), sd, shapes))
+        labels = _numbers(doubles(np.log(frequencies), arrays["sd"], arrays["shapes"]))
     owner, names = _labels(labels, frequencies.size)
     groups = owner == np.arange(len(names))[:, None]
     rows = np.full((len(names), groups.sum(axis=1).max()), -1)
     rows[owner, groups.cumsum(axis=1)[owner, np.arange(owner.size)] - 1] = np.arange(owner.size)
-    by_mode = [np.append(x, np.full_like(x[:1], np.nan), axis=0)[rows] for x in (frequencies, sd, shapes)]
-    return Identified(names, groups, *by_mode[:2], in_one_sense(by_mode[2]))
+    by_mode = {name: np.append(x, np.full_like(x[:1], np.nan), axis=0)[rows] for name, x in arrays.items()}
+    by_mode["shapes"] = in_one_sense(by_mode["shapes"])
+    return Identified(names, groups, **by_mode)
 
 
 def identification_names(labels, there) -> list[str]:
@@ -116,10 +137,29 @@ def _sd(sd, frequencies):
     return sd
 
 
-def _shapes(shapes, n):
-    """Shapes (n, s), s = 0 without; a shape of one entry says nothing."""
+def _damping(given, frequencies):
+    """Damping ratios, NaN where there is none, and standard deviations of their logarithms, zero for none."""
+    names = ("damping_ratios", "damping_sd")
+    ratios, sd = (
+        np.full(frequencies.shape, np.nan) if getattr(modal, name) is None else getattr(modal, name)
+        for modal in [ModalData(frequencies, **{name: given.get(name) for name in names})]
+        for name in names
+    )
+    advice = "Leave out `sigma_zeta`, or read the damping ratios as well."
+    if np.isnan(ratios).all():
+        raise refusal("`damping_ratios` must be known where `sigma_zeta` is given", "none", advice)
+    if (ratios == 0.0).any():
+        what = "`damping_ratios` must be positive to be compared"
+        got = f"zero of mode {np.flatnonzero(ratios == 0.0)[0]}"
+        raise refusal(what, got, "Pass NaN where it is not known.")
+    return ratios, np.nan_to_num(sd / ratios)
+
+
+def _shapes(shapes, sd, n):
+    """Shapes (n, s), s = 0 without, and their standard deviations; a shape of one entry says nothing."""
+    shapes, sd = (by_labels(x, axes=("mode", "sensor")) for x in (shapes, sd))
     if shapes is None:
-        return np.zeros((n, 0))
+        return np.zeros((n, 0)), np.zeros((n, 0))
     shapes = as_numbers(shapes, "shapes", allow_complex=True)
     if shapes.ndim != 2 or shapes.shape[0] != n:
         what = f"({n}, channels) to match `frequencies`"
@@ -133,7 +173,11 @@ def _shapes(shapes, n):
     if zero.any():
         got = f"zeros in row {zero.argmax()}"
         raise ValueError(message("shapes", "not zero", got, "Pass NaN where a shape is missing."))
-    return np.where(known, shapes, np.nan)
+    sd = np.zeros(shapes.shape) if sd is None else np.nan_to_num(as_numbers(sd, "shape_sd"), posinf=np.inf)
+    if sd.shape != shapes.shape or not ((sd >= 0.0) & (sd < np.inf)).all():
+        what = f"{shapes.shape} numbers that are not negative, as many as of `shapes`"
+        raise ValueError(message("shape_sd", what, shown(sd), "Pass NaN where there is none."))
+    return np.where(known, shapes, np.nan), sd
 
 
 def doubles(ln_f, sd, shapes) -> np.ndarray:
@@ -186,17 +230,17 @@ def in_one_sense(shapes) -> np.ndarray:
 
     The Gram matrix of e^(i a_j) v has the leading eigenvector e^(i a_j). A mode with one shape keeps it.
     """
-    x = np.nan_to_num(unit_rows(shapes))
+    x = np.nan_to_num(shapes / lengths(shapes))
     u = np.linalg.eigh(x @ x.conj().swapaxes(1, 2))[1][..., -1:]
     size = np.abs(u)
     several = x.any(axis=2).sum(axis=1)[:, None, None] > 1
     return shapes * np.where(several & (size > 0.0), u.conj() / np.where(size > 0.0, size, 1.0), 1.0)
 
 
-def unit_rows(shapes) -> np.ndarray:
-    """Shapes of length one, at the channels that are known."""
+def lengths(shapes) -> np.ndarray:
+    """Lengths of shapes at the channels that are known, 1 where there is none."""
     length = np.linalg.norm(np.nan_to_num(shapes), axis=-1, keepdims=True)
-    return shapes / np.where(length > 0.0, length, 1.0)
+    return np.where(length > 0.0, length, 1.0)
 
 
 def deviations(x) -> tuple[np.ndarray, np.ndarray]:
@@ -207,15 +251,15 @@ def deviations(x) -> tuple[np.ndarray, np.ndarray]:
     return np.abs(np.where(known, x - mean, 0.0)) ** 2, np.maximum(count - 1, 0)
 
 
-def log_scatter(x, sd) -> np.ndarray:
-    """Standard deviations (g, k) of logarithms x besides the error of the model, 1 where there is no x.
+def log_scatter(values, sd) -> np.ndarray:
+    """Standard deviations (g, k) of logarithms besides the error of the model, 1 where there is no value.
 
     Those that were identified; where there are none, of modes with several identifications, the deviation
     from the mean of each mode, pooled over modes.
     """
-    squares, more = deviations(x)
+    squares, more = deviations(np.log(values))
     pooled = np.sqrt(np.sum(squares) / max(1, np.sum(more)))
-    return np.where(np.isnan(x), 1.0, np.where((more > 0) & (sd == 0.0), max(pooled, LEAST), sd))
+    return np.where(np.isnan(values), 1.0, np.where((more > 0) & (sd == 0.0), max(pooled, LEAST), sd))
 
 
 def shape_scatter(shapes) -> np.ndarray:
@@ -223,8 +267,20 @@ def shape_scatter(shapes) -> np.ndarray:
 
     Pooled over modes and channels, for the channels that an identification has.
     """
-    squares, more = deviations(unit_rows(shapes))
+    squares, more = deviations(shapes / lengths(shapes))
     each = max(np.sum(squares) / max(1, np.sum(more)), LEAST**2)
     channels = (~np.isnan(shapes)).sum(axis=2)
     several = (channels > 0).sum(axis=1, keepdims=True) > 1
     return np.where(several, each * channels, 0.0)
+
+
+def entry_scatter(shapes, sd) -> np.ndarray:
+    """Variances (g, k s) of entries of shapes of a root mean square of one, besides the error of the model.
+
+    Those that were identified; where there are none, of modes with several shapes, as of `shape_scatter`.
+    """
+    channels = (~np.isnan(shapes)).sum(axis=2, keepdims=True)
+    pooled = shape_scatter(shapes)[..., None]  # of a length of one, which is a mean square of 1 / channels
+    of_entries = np.square(sd * np.sqrt(channels) / lengths(shapes))
+    variance = np.where(np.nan_to_num(sd) > 0.0, of_entries, pooled)
+    return np.where(np.isnan(shapes), 0.0, variance).reshape(len(shapes), -1)

@@ -328,7 +328,7 @@ def test_refusals():
         (
             dict(density="GAUSS"),
             ValueError,
-            "`density` must be one of TN, EXP or degrees of freedom, got 'GAUSS'",
+            "`density` must be one of TN, EXP, NORMAL or degrees of freedom, got 'GAUSS'",
         ),
         (dict(density=0.0), ValueError, "`density` must be positive"),
         (dict(labels=[1]), ValueError, "`labels` must be 2 labels"),
