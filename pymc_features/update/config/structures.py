@@ -88,6 +88,8 @@ def with_damping(raw):
     structure = raw.get("structure") if isinstance(raw, dict) and "data" not in raw else None
     if not isinstance(structure, dict) or "damping" in structure:
         return raw
+    if isinstance(raw.get("modal"), dict) and "sigma_zeta" in raw["modal"]:  # damping ratios are compared
+        return raw
     section = STRUCTURES.get(structure["type"]) if isinstance(structure.get("type"), str) else None
     if section is None or not section.model_fields["damping"].is_required():
         return raw

@@ -79,7 +79,10 @@ class ModalSection(Section):
     n_modes: int | None = key("the number of modes of the structure to choose from, positive", None, ge=1)
     sigma_f: Vector = key(f"{SCALE}, the error of the model in ln f", unit="-")
     sigma_phi: Vector | None = key(f"{SCALE}, the scale of the root of 1 - MAC", None, unit="-")
-    density: Literal["EXP", "TN"] | float = key('"EXP", "TN" or degrees of freedom, positive', "EXP")
+    sigma_zeta: Vector | None = key(f"{SCALE}, the error of the model in ln zeta", None, unit="-")
+    density: Literal["EXP", "TN", "NORMAL"] | float = key(
+        '"EXP", "TN", "NORMAL" or degrees of freedom, positive', "EXP"
+    )
     nodes: str | None = key("a CSV file with columns dof or name, x, y, z", None)
 
     @model_validator(mode="after")
@@ -196,9 +199,13 @@ class Modal(KindOfData):
             labels = [numbers[found.labels[g]] for g in found.groups.argmax(axis=0)]
         n = len(dict.fromkeys(map(str, labels)))
         advice, is_known = "0.01 is an error of one per cent.", data.frequency_sd is not None
-        for name, can_be_zero in (("sigma_f", is_known), ("sigma_phi", False)):
+        for name, can_be_zero in (("sigma_f", is_known), ("sigma_phi", False), ("sigma_zeta", False)):
             value, of_each = getattr(section, name), (n, "modes", advice)
             base.check_positive(f"modal.{name}", value, problem.priors, *of_each, can_be_zero=can_be_zero)
+        if section.sigma_zeta is not None and data.damping_ratios is None:
+            raise ConfigError(
+                f"`modal.sigma_zeta` must be left out without damping ratios, {source} has none."
+            )
         nodes = None
         if dofs and section.nodes is not None:
             with named_key("modal.nodes"):
@@ -243,28 +250,50 @@ class Modal(KindOfData):
     @property
     def arrays(self):
         data = self.data
+<<<<<<< HEAD
         found = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
         return {f"modal_{name}": values for name, values in found.items() if values is not None}
+=======
+        arrays = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
+        if self.asked.sigma_zeta is not None:
+            arrays |= {"damping": data.damping_ratios, "damping_sd": data.damping_sd}
+        if self.asked.density == "NORMAL":
+            arrays["shape_sd"] = data.shape_sd
+        return {
+            f"modal_{name}_sha256": fingerprint(np.ascontiguousarray(values))
+            for name, values in arrays.items()
+            if values is not None
+        }
+>>>>>>> fcb0fcf7 (ENH: sigma_zeta in [modal] of update.toml; DOC: damping as data)
 
     def parameters(self, likelihood):
-        return self.asked.sigma_f, self.asked.sigma_phi
+        return self.asked.sigma_f, self.asked.sigma_phi, self.asked.sigma_zeta
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         """Add the modes; where residuals of responses decide the width, as a factor of the prior."""
         density, labels = self.asked.density, [str(label) for label in self.labels]
         with named_key("modal", n_modes="modal.n_modes"):
             found = modes(structure, self.n_modes, sensors=self.dofs or None)
-            sigma_f, sigma_phi = (
+            sigma_f, sigma_phi, sigma_zeta = (
                 None if value is None else pt.as_tensor_variable(evaluated(value, values))
                 for value in self.parameters(likelihood)
             )
             if likelihood in LIKELIHOODS and LIKELIHOODS[likelihood].calibrates:
+<<<<<<< HEAD
                 data = identified(self.data, labels)
                 terms = checked_parameters(found, data, sigma_f, sigma_phi, density)
                 pm.Potential("modal", pm.logp(ModalFeature.dist(*terms), data.values).sum())
             else:
                 scales = {"sigma_f": sigma_f, "sigma_phi": sigma_phi, "density": density}
                 ModalFeature("modal", found, observed=self.data, labels=labels, **scales)
+=======
+                data = identified(self.data, labels, damping=sigma_zeta is not None)
+                terms = checked_parameters(found, data, sigma_f, sigma_phi, asked.density, sigma_zeta)
+                pm.Potential("modal", pm.logp(ModalFeature.dist(*terms), data.values).sum())
+                return
+            scales = {"sigma_f": sigma_f, "sigma_phi": sigma_phi, "sigma_zeta": sigma_zeta}
+            ModalFeature("modal", found, observed=self.data, labels=labels, density=asked.density, **scales)
+>>>>>>> fcb0fcf7 (ENH: sigma_zeta in [modal] of update.toml; DOC: damping as data)
 
     def predict(self, problem, likelihood, model, idata):
         return {"matched": self.matched(problem, idata["posterior"].to_dataset())}
