@@ -10,7 +10,7 @@ Syst. Signal Process. 25, 163-179.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -85,10 +85,10 @@ def merge_setups(
         raise refusal(what, tolerance, "Divide a percentage by 100.")
     if not 0.0 <= least <= 1.0:
         raise refusal("`least_mac` must be from 0 to 1", least)
-    merged = Merged(setups, references)
-    for number in merged.order():
-        merged.join(number, tolerance, least)
-    return merged.result()
+    found = Found(setups, references)
+    for number in found.order():
+        found.join(number, tolerance, least)
+    return found.merged()
 
 
 def _checked_setups(setups) -> list[ModalData]:
@@ -128,62 +128,54 @@ def _checked_references(setups, references) -> list[str]:
     return [str(name) for name in references]
 
 
-class Merged:
-    """Modes of several set-ups as one: of each mode and set-up, the row of the set-up's and its factor.
-
-    Tables of the set-ups have a last row of NaN, which stands for what a set-up does not have: row -1.
-    """
+class Found:
+    """All modes of all set-ups, a row for each, at all channels; NaN for what a set-up does not have."""
 
     def __init__(self, setups: list[ModalData], references: list[str]):
         self.setups = setups
         self.names = list(dict.fromkeys(name for setup in setups for name in setup.channels))
+        self.numbers = np.repeat(np.arange(len(setups)), [len(setup) for setup in setups])
+        self.frequencies = self.column("frequencies")
+        self.shapes, self.shape_sd = self.column("shapes"), self.column("shape_sd")
         self.at = find_channels(references, self.names, "all")
-        self.shapes, self.frequencies = self.table("shapes"), self.table("frequencies")
-        parts = self.shapes[:, :, self.at]
-        self.measured = (~np.isnan(parts)).any(axis=1)  # (set-up, reference)
-        for number, setup in enumerate(setups):
-            still = ~np.nan_to_num(parts[number, : len(setup)]).any(axis=1)
-            if still.any() and set(setup.channels) & set(references):
-                raise ValueError(
-                    f"`references` must move in every mode, the mode at {setup.frequencies[still][0]:.4g} Hz "
-                    f"of set-up {number} has no entry there but zeros and NaN. Name others, or leave out "
-                    "this mode by `select`."
-                )
-        self.rows = np.full((len(setups[0]), len(setups)), -1)  # (mode, set-up)
-        self.rows[:, 0] = range(len(setups[0]))
-        self.factors = np.ones(self.rows.shape, dtype=self.shapes.dtype)
+        parts = self.shapes[:, self.at]
+        known = [~np.isnan(parts[self.numbers == number]).all(axis=0) for number in range(len(setups))]
+        self.known = np.array(known)  # (set-up, reference)
+        has_references = np.array([not {*references}.isdisjoint(setup.channels) for setup in setups])
+        still = has_references[self.numbers] & ~np.nan_to_num(parts).any(axis=1)
+        if still.any():
+            raise ValueError(
+                f"`references` must move in every mode, the mode at {self.frequencies[still][0]:.4g} Hz of "
+                f"set-up {self.numbers[still][0]} has no entry there but zeros and NaN. Name others, or "
+                "leave out this mode by `select`."
+            )
+        self.modes = np.where(
+            self.numbers == 0, np.arange(len(self.numbers)), -1
+        )  # the merged one of each row
 
-    def table(self, name: str) -> np.ndarray:
-        """What set-ups know of their modes, (set-up, mode) or (set-up, mode, channel), NaN elsewhere."""
-        is_complex = name == "shapes" and any(setup.is_complex for setup in self.setups)
-        size = len(self.setups), 1 + max(map(len, self.setups)), len(self.names)
-        table = np.full(size, np.nan, dtype=np.complex128 if is_complex else np.float64)
-        for part, setup in zip(table, self.setups, strict=True):
-            if (values := getattr(setup, name)) is not None and values.ndim == 1:
-                part[: len(setup)] = values[:, None]
-            elif values is not None:
-                part[: len(setup), find_channels(setup.channels, self.names, "all")] = values
-        return table if name.startswith("shape") else table[:, :, 0]
+    def column(self, name: str) -> np.ndarray:
+        """What set-ups know of their modes, (row,) or (row, channel)."""
+        parts = []
+        for setup in self.setups:
+            values = getattr(setup, name)
+            if not name.startswith("shape"):
+                parts.append(np.full(len(setup), np.nan) if values is None else values)
+                continue
+            part = np.full((len(setup), len(self.names)), np.nan, dtype=getattr(values, "dtype", np.float64))
+            part[:, find_channels(setup.channels, self.names, "all")] = np.nan if values is None else values
+            parts.append(part)
+        return np.concatenate(parts)
 
-    def of_modes(self, table: np.ndarray) -> np.ndarray:
-        """What a table says of the merged modes, (mode, set-up) or (mode, set-up, channel)."""
-        return table[np.arange(len(self.setups)), self.rows]
-
-    @property
-    def means(self) -> np.ndarray:
-        """Mean frequencies (mode,) [Hz]."""
-        return mean_entries(self.of_modes(self.frequencies))
-
-    @property
-    def scaled(self) -> np.ndarray:
-        """Shapes (mode, set-up, channel) in the scale of the first set-up."""
-        return self.factors[:, :, None] * self.of_modes(self.shapes)
+    def by_mode(self, function: Callable, *columns: np.ndarray) -> np.ndarray:
+        """What a function makes of the rows of each merged mode."""
+        modes = [self.modes == mode for mode in range(self.modes.max() + 1)]
+        return np.array([function(*(column[rows] for column in columns)) for rows in modes])
 
     def order(self) -> Iterator[int]:
         """Set-ups but the first, each after one that it has a reference in common with."""
-        joined, remaining = self.measured[0], list(range(1, len(self.setups)))
+        joined, remaining = self.known[0], list(range(1, len(self.setups)))
         while remaining:
-            number = next((k for k in remaining if (joined & self.measured[k]).any()), None)
+            number = next((k for k in remaining if (joined & self.known[k]).any()), None)
             if number is None:
                 raise ValueError(
                     f"`setups` must be connected by references, set-ups {remaining} share none with the "
@@ -191,66 +183,64 @@ class Merged:
                     "themselves."
                 )
             yield number
-            joined = joined | self.measured[number]
+            joined = joined | self.known[number]
             remaining.remove(number)
 
     def join(self, number: int, tolerance: float, least: float) -> None:
         """Add the modes of a set-up to those they are the same as, or as new ones."""
-        found, parts = self.setups[number].frequencies, self.shapes[number][:, self.at]
-        means, merged = self.means[:, None], mean_entries(self.scaled[..., self.at])
-        difference, likeness = abs(found - means) / means, agreement(merged, parts[: found.size])
+        rows = np.flatnonzero(self.numbers == number)
+        found, parts = self.frequencies[rows], self.shapes[np.ix_(rows, self.at)]
+        means = self.by_mode(mean_entries, self.frequencies)[:, None]
+        merged = self.by_mode(mean_entries, self.shapes[:, self.at])
+        difference, likeness = abs(found - means) / means, agreement(merged, parts)
         allowed = (difference <= tolerance) & (likeness >= max(least, 1e-12))
         if not allowed.any():
             raise _nothing_in_common(number, found, means, likeness.max(), tolerance, least)
         cost = difference / tolerance + 1.0 - likeness
         # pairs that are not allowed cost more than all others together, so as few as possible are taken
         pairs = np.array(linear_sum_assignment(np.where(allowed, cost, 4.0 * cost.size)))
-        pairs = pairs[:, allowed[*pairs]]
-        for mode, k in pairs.T:
-            self.rows[mode, number] = k
-            self.factors[mode, number] = _factor(parts[k], merged[mode])
-        new = np.setdiff1d(np.arange(found.size), pairs[1])
-        self.rows = np.vstack([self.rows, np.full((new.size, len(self.setups)), -1)])
-        self.rows[len(means) :, number] = new
-        self.factors = np.vstack([self.factors, np.ones((new.size, len(self.setups)))])
+        for mode, k in pairs[:, allowed[*pairs]].T:
+            factor = _factor(parts[k], merged[mode])
+            self.modes[rows[k]] = mode
+            self.shapes[rows[k]] *= factor
+            self.shape_sd[rows[k]] *= abs(factor)
+        new = rows[self.modes[rows] < 0]
+        self.modes[new] = len(means) + np.arange(new.size)
 
-    def result(self) -> ModalData:
+    def merged(self) -> ModalData:
         """The modes in ascending order, with means over the set-ups; warns of what is uncertain."""
-        order = np.argsort(self.means, kind="stable")
-        self.rows, self.factors = self.rows[order], self.factors[order]
-        self._warn()
-        entries, numbers = self.scaled, {}
+        means = self.by_mode(mean_entries, self.frequencies)
+        order = np.argsort(means, kind="stable")
+        self.modes = np.argsort(order)[self.modes]
+        self._warn(means[order])
+        numbers = {}
         for values, sds in (("frequencies", "frequency_sd"), ("damping_ratios", "damping_sd")):
-            pair = (self.of_modes(self.table(name)) for name in (values, sds))
-            numbers[values], numbers[sds] = _averages(*pair)
+            numbers[values], numbers[sds] = self.by_mode(_average, self.column(values), self.column(sds)).T
         if np.isnan(numbers["frequency_sd"]).any():
             del numbers["frequency_sd"]
         numbers = {name: values for name, values in numbers.items() if not np.isnan(values).all()}
         if any(setup.shape_sd is not None for setup in self.setups):
-            sds = np.abs(self.factors)[:, :, None] * self.of_modes(self.table("shape_sd"))
-            squares = np.where(np.isnan(entries), 0.0, sds) ** 2
-            numbers["shape_sd"] = np.sqrt(squares.sum(axis=1)) / _count(entries)
-        return ModalData(shapes=mean_entries(entries), channels=self.names, **numbers)
+            numbers["shape_sd"] = self.by_mode(spread_of_mean, self.shapes, self.shape_sd)
+        shapes = self.by_mode(mean_entries, self.shapes)
+        return ModalData(shapes=shapes, channels=self.names, **numbers)
 
-    def _warn(self) -> None:
+    def _warn(self, means) -> None:
         """Warn of modes that are not in all set-ups, and of references that hardly move."""
-        for mean, rows in zip(self.means, self.rows, strict=True):
-            where = np.flatnonzero(rows >= 0).tolist()
-            if len(where) < len(rows):
+        sizes = np.abs(np.nan_to_num(self.shapes))
+        moving = sizes[:, self.at].max(axis=1) / sizes.max(axis=1)
+        for mode, mean in enumerate(means):
+            rows = np.flatnonzero(self.modes == mode)
+            if len(rows) < len(self.setups):
                 warn_modes(
-                    f"The mode at {mean:.4g} Hz is in set-ups {where} only; at the other channels its shape "
-                    "is NaN. Leave it out by `select` if that is no mode."
+                    f"The mode at {mean:.4g} Hz is in set-ups {self.numbers[rows].tolist()} only; at the "
+                    "other channels its shape is NaN. Leave it out by `select` if that is no mode."
                 )
-            for number in where:
-                shape = np.abs(self.shapes[number, rows[number]])
-                moving = np.nanmax(shape[self.at]) / np.nanmax(shape)
-                if moving < STILL:
-                    warn_modes(
-                        "The references hardly move in the mode at "
-                        f"{self.setups[number].frequencies[rows[number]]:.4g} Hz of set-up {number}, "
-                        f"{moving:.2g} of its largest entry: its scale is uncertain. Leave the mode out by "
-                        "`select`, or name better `references`."
-                    )
+            for row in rows[moving[rows] < STILL]:
+                warn_modes(
+                    f"The references hardly move in the mode at {self.frequencies[row]:.4g} Hz of set-up "
+                    f"{self.numbers[row]}, {moving[row]:.2g} of its largest entry: its scale is uncertain. "
+                    "Leave the mode out by `select`, or name better `references`."
+                )
 
 
 def _factor(shape: np.ndarray, wanted: np.ndarray):
@@ -283,33 +273,30 @@ def _nothing_in_common(number, found, means, best, tolerance, least) -> ValueErr
     )
 
 
-def mean_entries(values: np.ndarray) -> np.ndarray:
-    """Mean over set-ups, the second axis, of what is not NaN; NaN where there is nothing else."""
-    mean = np.nan_to_num(values).sum(axis=1) / np.nan_to_num(_count(values), nan=1.0)
-    return np.where(np.isnan(_count(values)), np.nan, mean)
+def mean_entries(rows: np.ndarray) -> np.ndarray:
+    """Mean of rows, without NaN; NaN where there is nothing else."""
+    count = (~np.isnan(rows)).sum(axis=0)
+    return np.where(count > 0, np.nan_to_num(rows).sum(axis=0) / np.maximum(count, 1), np.nan)
 
 
-def _count(values: np.ndarray) -> np.ndarray:
-    """How many along the second axis are not NaN, NaN where none is."""
-    count = (~np.isnan(values)).sum(axis=1)
-    return np.where(count > 0, count, np.nan)
+def spread_of_mean(rows: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Standard deviation of `mean_entries`."""
+    unknown = np.isnan(rows)
+    squares, count = np.sum(np.where(unknown, 0.0, sd) ** 2, axis=0), (~unknown).sum(axis=0)
+    return np.where(count > 0, np.sqrt(squares) / np.maximum(count, 1), np.nan)
 
 
-def _averages(x: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means (mode,) over set-ups and their standard deviations: inverse variances as weights, Birge's ratio.
+def _average(x: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
+    """Mean and its standard deviation: inverse variances as weights, and Birge's ratio if it is above 1.
 
-    Plain means, and NaN, where a standard deviation is not known. Birge, R. T. (1932), The calculation of
-    errors by the method of least squares, Phys. Rev. 40, 207-227.
+    Birge, R. T. (1932), The calculation of errors by the method of least squares, Phys. Rev. 40, 207-227.
     """
-    known = ~np.isnan(x)
-    weighed = (known <= (sd > 0.0)).all(axis=1, keepdims=True) & known.any(axis=1, keepdims=True)
-    sd = np.where(known & weighed, sd, np.inf)
-    smallest = np.where(weighed, sd.min(axis=1, keepdims=True), 1.0)
-    weights = np.where(weighed, (smallest / sd) ** 2, known)
-    total, count = weights.sum(axis=1), known.sum(axis=1)
-    with np.errstate(invalid="ignore"):
-        means = np.sum(weights * np.where(known, x, 0.0), axis=1) / total
-    off = np.where(known, x - means[:, None], 0.0)
-    ratio = np.sum(weights * off**2, axis=1) / np.maximum(count - 1, 1) / smallest[:, 0] ** 2
-    spread = np.sqrt(np.maximum(ratio, 1.0) / np.where(total > 0.0, total, 1.0))
-    return means, np.where(weighed[:, 0], smallest[:, 0] * spread, np.nan)
+    x, sd = x[~np.isnan(x)], sd[~np.isnan(x)]
+    if x.size == 0:
+        return np.nan, np.nan
+    if not (sd > 0.0).all():
+        return float(x.mean()), np.nan
+    weights = (sd.min() / sd) ** 2
+    mean = float(weights @ x / weights.sum())
+    ratio = weights @ (x - mean) ** 2 / max(x.size - 1, 1) / sd.min() ** 2
+    return mean, float(sd.min() / np.sqrt(weights.sum()) * np.sqrt(max(ratio, 1.0)))
