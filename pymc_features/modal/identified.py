@@ -107,7 +107,7 @@ def identified(observed, labels=None, *, damping: bool = False) -> Identified:
     arrays["shapes"], arrays["shape_sd"] = _shapes(
         given.get("shapes"), given.get("shape_sd"), frequencies.size
     )
-    arrays["sd"] = _sd(given.get("frequency_sd"), frequencies) / frequencies
+    arrays["sd"] = _spreads(given.get("frequency_sd"), frequencies, "frequency_sd", "Pass Hz") / frequencies
     if damping:
         arrays["damping"], arrays["damping_sd"] = _damping(given, frequencies)
     if labels is None:
@@ -127,14 +127,13 @@ def identification_names(labels, there) -> list[str]:
     return [f"{labels[g]}.{j}" if several[g] else f"{labels[g]}" for g, j in np.argwhere(there)]
 
 
-def _sd(sd, frequencies):
-    """Standard deviations [Hz]; a missing one is zero, as one that was not identified."""
-    sd = np.zeros(frequencies.size) if sd is None else as_numbers(sd, "frequency_sd")
-    sd = np.where(np.isnan(sd), 0.0, sd)
-    if sd.shape != frequencies.shape or not ((sd >= 0) & (sd < np.inf)).all():
-        what = f"{frequencies.size} numbers that are not negative"
-        raise ValueError(message("frequency_sd", what, shown(sd), "Pass Hz, NaN where there is none."))
-    return sd
+def _spreads(sd, values, name, advice):
+    """Standard deviations of values; a missing one is zero, as one that was not identified."""
+    sd = np.zeros(values.shape) if sd is None else as_numbers(sd, name)
+    if sd.shape != values.shape or (sd < 0.0).any() or np.isinf(sd).any():
+        what = f"{values.size if values.ndim == 1 else values.shape} numbers that are not negative"
+        raise ValueError(message(name, what, shown(sd), f"{advice}, NaN where there is none."))
+    return np.nan_to_num(sd)
 
 
 def _damping(given, frequencies):
@@ -173,10 +172,7 @@ def _shapes(shapes, sd, n):
     if zero.any():
         got = f"zeros in row {zero.argmax()}"
         raise ValueError(message("shapes", "not zero", got, "Pass NaN where a shape is missing."))
-    sd = np.zeros(shapes.shape) if sd is None else np.nan_to_num(as_numbers(sd, "shape_sd"), posinf=np.inf)
-    if sd.shape != shapes.shape or not ((sd >= 0.0) & (sd < np.inf)).all():
-        what = f"{shapes.shape} numbers that are not negative, as many as of `shapes`"
-        raise ValueError(message("shape_sd", what, shown(sd), "Pass NaN where there is none."))
+    sd = _spreads(sd, shapes, "shape_sd", "Pass one for each entry of `shapes`")
     return np.where(known, shapes, np.nan), sd
 
 

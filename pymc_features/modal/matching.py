@@ -310,7 +310,8 @@ def log_density_of_entries(part, p: Parameters, mask):
     """
     count = pt.sum(mask, axis=-1)
     x = normalised(part) * pt.sqrt(count)[..., None]
-    model = pt.switch(pt.isnan(p.shapes), 0.0, p.shapes)[..., None, :, None, :]
+    spoilt = pt.any(pt.isnan(p.shapes), axis=-1)  # no structure
+    model = pt.switch(spoilt[..., None], 0.0, p.shapes)[..., None, :, None, :]
     x, mask = x[..., None, :, :], mask[..., None, :, :]
     u = normalised(model * mask)
     d = across(x, u)
@@ -335,7 +336,8 @@ def log_density_of_entries(part, p: Parameters, mask):
     free = pt.sum(count - (count > 0.0), axis=-1)[..., None]
     log_size = pt.sum(mask * pt.log(each), axis=(-2, -1)) + pt.sum(pt.log(common), axis=-1)
     squares = pt.sum(squares, axis=-1) + pt.sum(of_scale, axis=-1)
-    return -0.5 * (free * np.log(2.0 * np.pi) + log_size + squares)
+    density = -0.5 * (free * np.log(2.0 * np.pi) + log_size + squares)
+    return pt.switch(spoilt[..., None, :], -np.inf, density)
 
 
 def compound_symmetric(x, shared, each, there, axis):

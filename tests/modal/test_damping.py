@@ -196,6 +196,16 @@ def test_a_model_without_damping_cannot_have_damped_data():
     assert got[0] == -np.inf and np.isfinite(got[1])
 
 
+def test_what_is_no_structure_is_impossible():
+    """NaN in shapes or damping ratios, without a gradient that is NaN."""
+    shapes, ratios = pt.matrix("shapes", shape=(4, 5)), pt.vector("ratios", shape=(4,))
+    logp = log_likelihoods(measured(), (F, shapes, ratios), density="NORMAL").sum()
+    function = pytensor.function([shapes, ratios], [logp, *pt.grad(logp, [shapes, ratios])], mode=PLAIN)
+    for spoilt in ((np.full((4, 5), np.nan), ZETA), (PHI, np.full(4, np.nan))):
+        value, *slopes = function(*spoilt)
+        assert value == -np.inf and all(np.isfinite(slope).all() for slope in slopes)
+
+
 TWO = {"frequencies": [1.0, 2.0], "damping_ratios": [0.01, 0.02], "damping_sd": [0.001, 0.002]}
 TWO |= {"shapes": PHI[:2], "shape_sd": 0.1 * abs(PHI[:2])}
 REFUSED = {
@@ -224,7 +234,7 @@ REFUSED = {
     '`shapes` must be real for density="NORMAL", got complex ones. Pass `observed.real..`': {
         "observed": TWO | {"shapes": 1j * PHI[:2]}
     },
-    r"`shape_sd` must be \(2, 5\) numbers that are not negative, as many as of `shapes`": {
+    r"`shape_sd` must be \(2, 5\) numbers that are not negative, got .* Pass one for each entry": {
         "observed": TWO | {"shape_sd": PHI[:2, :3]}
     },
     "`modes` must be frequencies .m,., shapes .m, s. and perhaps damping ratios .m,., got 1, 2 and 2": {
