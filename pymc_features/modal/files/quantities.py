@@ -154,15 +154,22 @@ def mode_values(found: dict[str, np.ndarray], source: str) -> dict[str, np.ndarr
     return numbers
 
 
+def numbers_in(values, kinds: str, otherwise: str) -> np.ndarray:
+    """An array of numbers of some kinds, NaN for null; `otherwise` is the error about anything else."""
+    try:
+        array = np.asarray(values)
+        array = array.astype(np.float64) if array.dtype == object else array
+        if array.dtype.kind in kinds:
+            return array
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ValueError(otherwise)
+
+
 def _vector(values, name: str, source: str) -> np.ndarray:
     """Numbers (m,) of a row, a column or a single number."""
-    try:
-        array = np.squeeze(np.asarray(values))
-        if array.dtype.kind not in "iufO":  # objects are null among numbers
-            raise TypeError
-        array = np.atleast_1d(array.astype(np.float64))
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{source}: {name} must hold real numbers, got {type(values).__name__}.") from None
+    otherwise = f"{source}: {name} must hold real numbers, got {type(values).__name__}."
+    array = np.atleast_1d(np.squeeze(numbers_in(values, "iuf", otherwise))).astype(np.float64)
     if array.ndim != 1 or array.size == 0:
         advice = "Pass `names` if another variable holds it."
         raise refusal(f"{source}: {name} must have one number for each mode", f"shape {array.shape}", advice)

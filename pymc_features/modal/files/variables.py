@@ -24,7 +24,14 @@ import numpy as np
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.reading.lines import decoded, shortened
 from pymc_features.modal.data import listed, refusal
-from pymc_features.modal.files.quantities import ALIKE, NAMES, labelled_quantities, mode_values, quantity_of
+from pymc_features.modal.files.quantities import (
+    ALIKE,
+    NAMES,
+    labelled_quantities,
+    mode_values,
+    numbers_in,
+    quantity_of,
+)
 
 MOST_JSON = 64 * 2**20  # bytes
 
@@ -97,15 +104,10 @@ def from_variables(variables: Mapping, source: str, names: dict[str, str]) -> di
 
 def _matrix(values, name: str, n_modes: int, source: str) -> np.ndarray:
     """Entries (mode, channel) of a matrix (channel, mode), or of one vector for one mode."""
-    try:
-        array = np.asarray(values)
-        if array.dtype == object:  # null
-            array = array.astype(np.float64)
-        if array.dtype.kind not in "iufc":
-            raise TypeError
-    except (TypeError, ValueError, OverflowError):
-        what = f"{source}: {name} must be a matrix of numbers with a row for each channel and a column for"
-        raise refusal(f"{what} each mode", "something else") from None
+    what = (
+        f"{source}: {name} must be a matrix of numbers with a row for each channel and a column for each mode"
+    )
+    array = numbers_in(values, "iufc", f"{what}, got something else.")
     if array.ndim == 1 and n_modes == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[1] != n_modes:
