@@ -45,8 +45,9 @@ from pymc_features.modal.matching import (
 from pymc_features.modal.structural_modes import SymbolicModes
 from pymc_features.ops import as_tensor, known_dims
 
-DENSITIES = {"TN": 1.0, "EXP": 2.0}  # degrees of freedom of 1 - MAC
 BY_ENTRY = "NORMAL"  # the law of each entry of a shape
+#: Degrees of freedom of 1 - MAC, which count for nothing by entry.
+DENSITIES = {"TN": 1.0, "EXP": 2.0, BY_ENTRY: 1.0}
 ONCE = Mode(linker="py", optimizer=None)
 OFTEN = Mode(linker="py", optimizer="fast_run")
 ROWS = 256  # draws in one call
@@ -239,28 +240,22 @@ def checked_parameters(
     elif len(listed) < 3:
         what = "`modes` must have damping ratios (m,) where `sigma_zeta` is given"
         raise refusal(what, "frequencies and shapes alone", "Pass what `modes` returned.")
-    by_entry = isinstance(density, str) and density == BY_ENTRY
-    if isinstance(density, str) and not by_entry and density not in DENSITIES:
-        what = f"one of {', '.join((*DENSITIES, BY_ENTRY))} or degrees of freedom"
+    if isinstance(density, str) and density not in DENSITIES:
+        what = f"one of {', '.join(DENSITIES)} or degrees of freedom"
         raise ValueError(message("density", what, shown(density)))
+    by_entry = isinstance(density, str) and density == BY_ENTRY
     if by_entry and data.is_complex:
         advice = "Pass `observed.real()`, or another density."
         raise refusal(f'`shapes` must be real for density="{BY_ENTRY}"', "complex ones", advice)
     sigma_phi, sigma_zeta = (1.0 if sigma is None else sigma for sigma in (sigma_phi, sigma_zeta))
-    degrees = 1.0 if by_entry else DENSITIES[density] if isinstance(density, str) else density
     parameters = Parameters(
         frequencies,
         ratios,
         shapes,
-        scale("sigma_f", sigma_f, g, allow_zero=all_positive(data.frequencies, data.sd)),
-        scale(
-            "sigma_zeta",
-            1.0 if sigma_zeta is None else sigma_zeta,
-            g,
-            allow_zero=all_positive(data.damping, data.damping_sd),
-        ),
-        scale("sigma_phi", sigma_phi, g, allow_zero=by_entry and all_positive(data.shapes, data.shape_sd)),
-        scale("density", degrees, g),
+        scale("sigma_f", sigma_f, g, data.frequencies, data.sd),
+        scale("sigma_zeta", sigma_zeta, g, data.damping, data.damping_sd),
+        scale("sigma_phi", sigma_phi, g, data.shapes if by_entry else None, data.shape_sd),
+        scale("density", DENSITIES[density] if isinstance(density, str) else density, g),
         *data.scatter(by_entry and s > 1),
         data.known,
         np.zeros((g, 0)),
@@ -270,17 +265,13 @@ def checked_parameters(
     return list(parameters._replace(match=match))
 
 
-def all_positive(values, sd) -> bool:
-    """Whether all values that are known have a standard deviation."""
-    return values is not None and bool((sd[~np.isnan(values)] > 0.0).all())
-
-
-def scale(name, value, n, *, allow_zero=False):
-    """A tensor (n,); numbers are refused where they are not positive."""
+def scale(name, value, n, values=None, sd=None):
+    """A tensor (n,); numbers are refused where not positive, or zero where all values have an sd."""
     tensor = as_tensor(value, name)
     if tensor.ndim > 1 or (tensor.ndim == 1 and tensor.type.shape[0] not in (None, 1, n)):
         raise ValueError(message(name, f"one value or one for each of the {n} modes", tensor.type.shape))
     if isinstance(tensor, Constant):
+        allow_zero = values is not None and (sd[~np.isnan(values)] > 0.0).all()
         legal = np.isfinite(tensor.data) & ((tensor.data > 0) | (allow_zero & (tensor.data == 0)))
         if not legal.all():
             raise ValueError(message(name, "positive and finite", np.asarray(tensor.data).tolist()))
