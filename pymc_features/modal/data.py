@@ -140,7 +140,7 @@ class ModalData:
         if np.isinf(values).any():
             what = "`shapes` must be finite, or NaN where nothing was measured"
             raise refusal(what, "infinity", "Correct it first.")
-        moving = np.nan_to_num(values).any(axis=1)
+        moving = without_nan(values).any(axis=1)
         if not moving.all():
             mode = int(np.argmin(moving))
             got = f"none in mode {mode} ({self.frequencies[mode]:.4g} Hz)"
@@ -238,6 +238,11 @@ class ModalData:
 def refusal(what: str, got, advice: str = "") -> ValueError:
     """The error that says what must be, what there is instead, and what to do."""
     return ValueError(f"{what}, got {got}.{' ' if advice else ''}{advice}")
+
+
+def without_nan(values: np.ndarray) -> np.ndarray:
+    """Values with zero for NaN; of complex numbers where one of the parts is NaN."""
+    return np.where(np.isnan(values), 0.0, values)
 
 
 def _names(value, name: str, what: str) -> list[str]:

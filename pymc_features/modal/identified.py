@@ -42,7 +42,8 @@ class Identified(NamedTuple):
         """The data (g, k), or their real and imaginary parts, by their names."""
         parts = {"": self.shapes}
         if self.is_complex:
-            parts = {"real ": self.shapes.real, "imaginary ": self.shapes.imag}
+            missing = np.where(np.isnan(self.shapes), np.nan, 0.0)
+            parts = {"real ": missing + self.shapes.real, "imaginary ": missing + self.shapes.imag}
         found = {"frequency": self.frequencies}
         found |= {} if self.damping is None else {"damping": self.damping}
         for part, values in parts.items():
@@ -80,18 +81,9 @@ class Identified(NamedTuple):
 
 
 def identified(observed, labels=None, *, damping: bool = False) -> Identified:
-    """Check identified modes.
+    """Check identified modes: an object or mapping with some of `FIELDS`, as of `ModalData`, or frequencies.
 
-    Parameters
-    ----------
-    observed : object or mapping with some of `FIELDS`, as of `ModalData`, or array_like (i,)
-        Frequencies [Hz] (i,), shapes (i, s) or None, standard deviations (i,) [Hz] or None, and so on; an
-        array is frequencies alone.
-    labels : sequence (i,), optional
-        Which mode each identification is of; by default each is of a mode of its own, but those that were
-        found twice.
-    damping : bool
-        Whether damping ratios are compared.
+    Without labels each is of a mode of its own, but those that were found twice.
     """
     if isinstance(observed, Mapping):
         if not set(observed) <= set(FIELDS) or "frequencies" not in observed:

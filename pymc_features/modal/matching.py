@@ -28,17 +28,7 @@ IMPOSSIBLE = 1e100  # what a cost that is infinite or NaN counts as
 
 
 def one_minus_mac(shapes, parts, known):
-    """1 - MAC of each measured shape and each of the model, a tensor (..., m).
-
-    Parameters
-    ----------
-    shapes : tensor (m, s)
-        Of the model, real.
-    parts : list of tensor (..., s)
-        Real, and imaginary, part of the measured shapes, zero where an entry is missing.
-    known : tensor (..., s)
-        1 where an entry is known; rows of zeros are shapes that are missing, and give zero.
-    """
+    """1 - MAC (..., m) of parts (..., s) of measured shapes, 1 where they are `known`, and shapes (m, s)."""
     products = sum(pt.sqr(pt.dot(part, shapes.T)) for part in parts)
     own = sum(pt.sum(pt.sqr(part), axis=-1) for part in parts)[..., None]
     norms = own * pt.dot(known, pt.sqr(shapes).T)

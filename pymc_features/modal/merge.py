@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from pymc_features._checks import check_number, check_texts, listed, shown
-from pymc_features.modal.data import ModalData, agreement, find_channels, refusal, warn_modes
+from pymc_features.modal.data import ModalData, agreement, find_channels, refusal, warn_modes, without_nan
 
 RADIANS = (2.0 * np.pi, 0.5 / np.pi)  # ratios of rad/s and Hz
 STILL = 0.1  # of the largest entry of a shape: references below it give its scale poorly
@@ -142,7 +142,7 @@ class Found:
         known = [~np.isnan(parts[self.numbers == number]).all(axis=0) for number in range(len(setups))]
         self.known = np.array(known)  # (set-up, reference)
         has_references = np.array([not {*references}.isdisjoint(setup.channels) for setup in setups])
-        still = has_references[self.numbers] & ~np.nan_to_num(parts).any(axis=1)
+        still = has_references[self.numbers] & ~without_nan(parts).any(axis=1)
         if still.any():
             raise ValueError(
                 f"`references` must move in every mode, the mode at {self.frequencies[still][0]:.4g} Hz of "
@@ -226,7 +226,7 @@ class Found:
 
     def _warn(self, means) -> None:
         """Warn of modes that are not in all set-ups, and of references that hardly move."""
-        sizes = np.abs(np.nan_to_num(self.shapes))
+        sizes = np.abs(without_nan(self.shapes))
         moving = sizes[:, self.at].max(axis=1) / sizes.max(axis=1)
         for mode, mean in enumerate(means):
             rows = np.flatnonzero(self.modes == mode)
@@ -276,7 +276,7 @@ def _nothing_in_common(number, found, means, best, tolerance, least) -> ValueErr
 def mean_entries(rows: np.ndarray) -> np.ndarray:
     """Mean of rows, without NaN; NaN where there is nothing else."""
     count = (~np.isnan(rows)).sum(axis=0)
-    return np.where(count > 0, np.nan_to_num(rows).sum(axis=0) / np.maximum(count, 1), np.nan)
+    return np.where(count > 0, without_nan(rows).sum(axis=0) / np.maximum(count, 1), np.nan)
 
 
 def spread_of_mean(rows: np.ndarray, sd: np.ndarray) -> np.ndarray:

@@ -29,15 +29,7 @@ AT_REST = Record(np.zeros(2), 1.0)  # the constants of a structure are asked for
 
 
 class ModalOp(StructuralOp):
-    """Base of the Ops on modes: parameters of a family, its constants, sensors and number of modes.
-
-    Parameters
-    ----------
-    family : str
-        A key of `simulators.FAMILIES`. Everything else the kernels read is an input of the node.
-    batched : bool
-        Whether each parameter has a row for each particle, or one for all.
-    """
+    """Base of the Ops on modes: parameters of a family, with a row for each particle if `batched`."""
 
     __props__ = ("family", "batched")
 

@@ -63,6 +63,11 @@ VALUES = {
     r"must have shape \(mode, channel\) = \(3, 1\), got \(3, 2\). Pass a name": (F, SHAPES, ["roof"]),
     "`shapes` must be finite, or NaN where nothing was measured": (F, [[1.0, np.inf], *SHAPES[1:]], NAMES),
     "an entry that is not zero in each mode, got none in": (F, [SHAPES[0], [0.0, NAN], SHAPES[2]], NAMES),
+    "an entry that is not zero in each mode, got none in mode 0": (
+        F,
+        [[complex(NAN, 1), 0], *SHAPES[1:]],
+        NAMES,
+    ),
     r"`frequency_sd` must have shape \(mode,\) = \(3,\), got \(1,\)": (F, None, (), [0.1]),
     "`frequency_sd` must be positive, got 0.0 Hz. Leave it out": (F, None, (), [0.1, 0.0, 0.1]),
     "`frequency_sd` must be finite, got nan at index 2. Leave it out": (F, None, (), [0.1, 0.1, NAN]),

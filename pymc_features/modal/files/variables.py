@@ -83,17 +83,14 @@ def from_variables(variables: Mapping, source: str, names: dict[str, str]) -> di
     places = labelled_quantities(labels, names, source)
     given = {name: contents[place] for name, place in places.items() if name != "mode"}
     found = mode_values(given, source)
-    matrices = ("shapes", "shapes_imaginary", "shape_sd")
     count = found["frequencies"].size
-    shapes, imaginary, found["shape_sd"] = (
-        _matrix(given[name], name, count, source) if name in given else None for name in matrices
-    )
+    shapes, imaginary = (_matrix(given, name, count, source) for name in ("shapes", "shapes_imaginary"))
     if imaginary is not None:
         if shapes is None or shapes.shape != imaginary.shape or shapes.dtype.kind == "c":
             what = f"{source}: shapes_imaginary must stand beside real shapes of its size"
             raise refusal(what, "other ones", "Save both parts.")
         shapes = shapes + 1j * imaginary
-    found["shapes"] = shapes
+    found |= {"shapes": shapes, "shape_sd": _matrix(given, "shape_sd", count, source)}
     if (channels := given.get("channels")) is not None:  # a list, or the rows of a text
         found["channels"] = np.ravel(np.asarray(channels, dtype=object)).tolist()
         if not all(isinstance(name, str) for name in found["channels"]):
@@ -102,12 +99,14 @@ def from_variables(variables: Mapping, source: str, names: dict[str, str]) -> di
     return found
 
 
-def _matrix(values, name: str, n_modes: int, source: str) -> np.ndarray:
-    """Entries (mode, channel) of a matrix (channel, mode), or of one vector for one mode."""
+def _matrix(found, name: str, n_modes: int, source: str) -> np.ndarray | None:
+    """Entries (mode, channel) of a matrix (channel, mode), or of one vector for one mode; None without."""
+    if name not in found:
+        return None
     what = (
         f"{source}: {name} must be a matrix of numbers with a row for each channel and a column for each mode"
     )
-    array = numbers_in(values, "iufc", f"{what}, got something else.")
+    array = numbers_in(found[name], "iufc", f"{what}, got something else.")
     if array.ndim == 1 and n_modes == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[1] != n_modes:
