@@ -250,21 +250,12 @@ class Modal(KindOfData):
     @property
     def arrays(self):
         data = self.data
-<<<<<<< HEAD
         found = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
-        return {f"modal_{name}": values for name, values in found.items() if values is not None}
-=======
-        arrays = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
         if self.asked.sigma_zeta is not None:
-            arrays |= {"damping": data.damping_ratios, "damping_sd": data.damping_sd}
+            found |= {"damping": data.damping_ratios, "damping_sd": data.damping_sd}
         if self.asked.density == "NORMAL":
-            arrays["shape_sd"] = data.shape_sd
-        return {
-            f"modal_{name}_sha256": fingerprint(np.ascontiguousarray(values))
-            for name, values in arrays.items()
-            if values is not None
-        }
->>>>>>> fcb0fcf7 (ENH: sigma_zeta in [modal] of update.toml; DOC: damping as data)
+            found["shape_sd"] = data.shape_sd
+        return {f"modal_{name}": values for name, values in found.items() if values is not None}
 
     def parameters(self, likelihood):
         return self.asked.sigma_f, self.asked.sigma_phi, self.asked.sigma_zeta
@@ -279,21 +270,12 @@ class Modal(KindOfData):
                 for value in self.parameters(likelihood)
             )
             if likelihood in LIKELIHOODS and LIKELIHOODS[likelihood].calibrates:
-<<<<<<< HEAD
-                data = identified(self.data, labels)
-                terms = checked_parameters(found, data, sigma_f, sigma_phi, density)
+                data = identified(self.data, labels, damping=sigma_zeta is not None)
+                terms = checked_parameters(found, data, sigma_f, sigma_phi, density, sigma_zeta)
                 pm.Potential("modal", pm.logp(ModalFeature.dist(*terms), data.values).sum())
             else:
-                scales = {"sigma_f": sigma_f, "sigma_phi": sigma_phi, "density": density}
-                ModalFeature("modal", found, observed=self.data, labels=labels, **scales)
-=======
-                data = identified(self.data, labels, damping=sigma_zeta is not None)
-                terms = checked_parameters(found, data, sigma_f, sigma_phi, asked.density, sigma_zeta)
-                pm.Potential("modal", pm.logp(ModalFeature.dist(*terms), data.values).sum())
-                return
-            scales = {"sigma_f": sigma_f, "sigma_phi": sigma_phi, "sigma_zeta": sigma_zeta}
-            ModalFeature("modal", found, observed=self.data, labels=labels, density=asked.density, **scales)
->>>>>>> fcb0fcf7 (ENH: sigma_zeta in [modal] of update.toml; DOC: damping as data)
+                scales = {"sigma_f": sigma_f, "sigma_phi": sigma_phi, "sigma_zeta": sigma_zeta}
+                ModalFeature("modal", found, observed=self.data, labels=labels, density=density, **scales)
 
     def predict(self, problem, likelihood, model, idata):
         return {"matched": self.matched(problem, idata["posterior"].to_dataset())}
