@@ -173,9 +173,9 @@ def read_harwell_boeing(path: Path) -> Matrices:
     n_rows, n_columns, n_entries = sizes[:3]
     check_size(path, [8 * n_columns, 16 * n_entries])
     widths = [column_width(formats[slice(*place)], 0) for place in ((0, 16), (16, 32), (32, 52))]
-    starts = lines.fields(n_columns + 1, widths[0], "first entries of the columns")
-    rows = lines.fields(n_entries, widths[1], "rows of the entries")
-    values = lines.fields(n_entries, widths[2], "entries")
+    starts = lines.numbers(n_columns + 1, "first entries of the columns", widths[0])
+    rows = lines.numbers(n_entries, "rows of the entries", widths[1])
+    values = lines.numbers(n_entries, "entries", widths[2])
     if starts[0] != 1 or (np.diff(starts) < 0).any() or starts[-1] != n_entries + 1:
         raise lines.error("the first entries of the columns must rise to the last", starts[-1])
     columns = np.repeat(np.arange(1, n_columns + 1), np.diff(starts).astype(np.int64))

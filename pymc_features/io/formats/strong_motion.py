@@ -18,7 +18,7 @@ Data Files, sections 3 and 4, https://escweb.wr.usgs.gov/nsmp-data/smcfmt.html.
 import re
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
-from io import StringIO
+from itertools import zip_longest
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from pymc_features.io.reading.labels import known_factor
 from pymc_features.io.reading.lines import (
     Lines,
     column_width,
-    not_a_number,
+    finite,
     to_count,
     to_number,
     warn_of_widths,
@@ -60,26 +60,21 @@ def unit_in(text: str) -> str | None:
     return next((word for word in words if known_factor(word) is not None), None)
 
 
-def check_peak(lines: Lines, name: str, values: np.ndarray, stated: float | None) -> None:
-    """Warn if the peak of the values is not the one that the file states, in the same unit."""
-    peak, stated = float(np.abs(values).max(initial=0.0)), abs(stated or 0.0)
-    if stated > 0.0 and values.size and abs(peak - stated) > 0.02 * stated + 0.005:
+def channel(lines: Lines, name: str, values: np.ndarray, unit, peak=None, factor=1.0, **place) -> Channel:
+    """A channel; a warning if the values, before the factor, have another peak than the file states."""
+    largest, stated = float(np.abs(values).max(initial=0.0)), abs(peak or 0.0)
+    if stated > 0.0 and values.size and abs(largest - stated) > 0.02 * stated + 0.005:
         warn_caller(
-            f"{lines.title}, {name}: the file states a peak of {stated:.4g}, its values have {peak:.4g}. Is "
-            "it damaged?"
+            f"{lines.title}, {name}: the file states a peak of {stated:.4g}, its values have {largest:.4g}. "
+            "Is it damaged?"
         )
+    return Channel(name, factor * values, unit, **place)
 
 
 def check_duration(lines: Lines, count: int, dt: float, stated: float | None, slack: tuple) -> None:
     """Refuse samples that take another time [s] than the header states; `slack` [s], and of it."""
     if stated is not None and abs(stated - count * dt) > slack[0] + slack[1] * stated:
         raise lines.error(f"{count} samples at {dt:g} s must take the time of the header", f"{stated:g} s")
-
-
-def check_end(lines: Lines, what: str) -> None:
-    """Refuse anything but blanks below the values."""
-    if (line := lines.peek()) is not None:
-        raise lines.error(f"nothing may follow {what}", repr(line.strip()[:60]))
 
 
 def labelled(lines: Lines, end: str | None = None) -> dict[str, str]:
@@ -99,7 +94,6 @@ def labelled(lines: Lines, end: str | None = None) -> dict[str, str]:
 
 # --- PEER AT2: what the values are, how many (NPTS) and how far apart (DT), in any words -------------
 
-MOST_HEADER_LINES = 200
 # of lines with single blanks; all repetitions are bounded, so that the time is proportional to the text
 _NUMBER = r"[-+]?(?:\d{1,20}(?:\.\d{0,20})?|\.\d{1,20})(?:[eEdD][-+]?\d{1,3})?"
 _NPTS = re.compile(r"\bNPTS\s?[=:]\s?(\d{1,12})(?![\dA-Za-z])", re.IGNORECASE | re.ASCII)
@@ -123,20 +117,16 @@ def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
         if values or (number > npts and tokens and None not in map(to_number, tokens)):
             if line.startswith("***"):  # *** End Data ***
                 break
-            for token in tokens:
-                value = to_number(token)
-                if value is None or not np.isfinite(value):
-                    raise not_a_number(f"{lines.title}, line {number}", token)
-                values.append(value)
+            values += [finite(token, f"{lines.title}, line {number}") for token in tokens]
             first, last = first or number, number
-        elif number <= npts or len(header) < MOST_HEADER_LINES:
-            header = [*header[-MOST_HEADER_LINES:], " ".join(line.split())]
+        else:
+            header.append(" ".join(line.split()))
     if not values:
         raise ValueError(
             f"{lines.title} must hold values below its header, none was found. Is it an AT2 file?"
         )
-    rows = enumerate(StringIO(lines.text), 1)
-    warn_of_widths(lines.title, (row for row in rows if first <= row[0] <= last and row[1].strip()))
+    rows = enumerate(lines.whole[first - 1 : last], first)
+    warn_of_widths(lines.title, ((number, row) for number, row in rows if row.strip()))
     text = "\n".join(header)
     both = _NPTS_DT.search(text)
     count, step = both.groups() if both else [m and m[1] for m in (_NPTS.search(text), _DT.search(text))]
@@ -171,17 +161,15 @@ def read_esm(lines: Lines) -> tuple[list[Channel], str]:
     check_duration(lines, n_times, dt, to_number(facts.get("DURATION_S", "")), (1.5 * dt, 0.01))
     if (kind := facts.get("DATA_TYPE", "")).upper() != "ACCELERATION":
         raise lines.error("DATA_TYPE must be ACCELERATION", repr(kind), "Fetch the file of the acceleration.")
-    values = lines.words(n_times, "values, NDATA")
-    check_end(lines, f"the NDATA = {n_times} values")
-    name = facts.get("STREAM") or "acceleration"
-    check_peak(lines, name, values, to_number(facts.get("PGA_CM/S^2", "")))
+    values = lines.numbers(n_times, "values, NDATA")
+    name, peak = facts.get("STREAM") or "acceleration", to_number(facts.get("PGA_CM/S^2", ""))
     start, text = None, facts.get("DATE_TIME_FIRST_SAMPLE_YYYYMMDD_HHMMSS", "")
     if text:
         whole, _, fraction = text.partition(".")
         start = _moment(lines, whole, "%Y%m%d_%H%M%S", "20190728_160919.870")
         start += to_number(f"0.{fraction}") or 0.0
     station = f"{facts.get('NETWORK', '')}.{facts.get('STATION_CODE', '')} {name}".strip(". ")
-    return [Channel(name, values, facts.get("UNITS") or None, dt, start=start)], station
+    return [channel(lines, name, values, facts.get("UNITS") or None, peak, dt=dt, start=start)], station
 
 
 def _moment(lines: Lines, text: str, form: str, example: str) -> float:
@@ -221,13 +209,12 @@ def read_knet(lines: Lines) -> tuple[list[Channel], str]:
     scales = [to_number(part.strip()) for part in scale.lower().split("(gal)/")]
     what = "the scale factor, as 3920(gal)/6182761"
     full, scale = (positive(lines, part, what) for part in [*scales, None][:2])
-    counts = lines.words(round(rate * duration), "values, frequency times duration", whole=True)
-    check_end(lines, "the values, frequency times duration")
+    counts = lines.numbers(round(rate * duration), "values, frequency times duration", whole=True)
     gal = full / scale * (counts - counts.mean())
     direction = DIRECTIONS.get(direction, direction)
-    check_peak(lines, direction, gal, to_number(peak))
     start = _moment(lines, time, "%Y/%m/%d %H:%M:%S", "2006/01/18 23:25:46") - DELAY
-    return [Channel(direction, gal, "gal", 1.0 / rate, start=start)], f"{station} {direction}, {time}"
+    found = channel(lines, direction, gal, "gal", to_number(peak), dt=1.0 / rate, start=start)
+    return [found], f"{station} {direction}, {time}"
 
 
 # --- NSMN and UNAM: columns of all directions ---------------------------------------------------------
@@ -241,8 +228,7 @@ def read_nsmn(lines: Lines) -> list[Channel]:
     n_times = positive(lines, to_count(facts.get("NUMBER OF DATA", "")), "NUMBER OF DATA")
     dt = positive(lines, to_number(facts.get("SAMPLING INTERVAL (SEC)", "")), "SAMPLING INTERVAL (SEC)")
     width = len(directions)
-    values = lines.words(n_times * width, "rows, the number of data", per_line=width).reshape(-1, width)
-    check_end(lines, f"the {n_times} rows")
+    values = lines.numbers(n_times * width, "rows, the number of data", per_line=width).reshape(-1, width)
     return [Channel(name, column, "gal", dt) for name, column in zip(directions, values.T, strict=True)]
 
 
@@ -267,16 +253,13 @@ def read_unam(lines: Lines) -> list[Channel]:
     dt = positive(lines, steps.pop(), "the interval")
     for text in listed("DURACION DEL REGISTRO"):  # a decimated file may state the step of the recorder
         check_duration(lines, n_times, dt, to_number(text), (2.0 * dt, 0.01))
-    unit = facts.get("UNIDADES DE LOS DATOS", "").split()[:1]
-    for _ in range(4):
-        lines.take("four lines of titles above the values")
+    unit = next(iter(facts.get("UNIDADES DE LOS DATOS", "").split()), None)
+    lines.several(4, "lines of titles above the values")
     width = column_width("(" + next((facts[key] for key in facts if key.startswith("FORMATO DATOS")), ""), 10)
-    values = lines.fields(n_times * len(directions), width, "values").reshape(-1, len(directions))
-    check_end(lines, f"the {n_times} rows")
-    peaks = [to_number(text) for text in listed("ACEL. MAX.(GAL)")]
-    for name, column, peak in zip(directions, values.T, [*peaks, *[None] * len(directions)], strict=False):
-        check_peak(lines, name, column, peak)
-    return [Channel(name, column, *unit, dt=dt) for name, column in zip(directions, values.T, strict=True)]
+    columns = lines.numbers(n_times * len(directions), "values", width).reshape(-1, len(directions)).T
+    peaks = zip_longest(directions, map(to_number, listed("ACEL. MAX.(GAL)")))
+    found = zip(peaks, columns, strict=False)
+    return [channel(lines, name, column, unit, peak, dt=dt) for (name, peak), column in found]
 
 
 # --- COSMOS V0 to V2: text, integers, reals and comments above each series ------------------------
@@ -287,25 +270,17 @@ QUANTITIES = ("accel", "veloc", "displ", "rotat", "angul", "press", "strain", "s
 STEP, RAW_STEP, PEAK = 61, 33, 63  # reals: of the series [ms], of the recorder [s], signed
 
 
-def _text(lines: Lines, count: int, what: str) -> list[str]:
-    """Lines of text, from the next one that is not blank."""
-    while not (first := lines.take(what)).strip():
-        pass
-    return [first, *(lines.take(f"{count} lines of text") for _ in range(count - 1))]
-
-
 def read_cosmos(lines: Lines) -> list[Channel]:
     """All accelerations of a file, each below headers of its own."""
     channels = []
     while (line := lines.peek()) is not None:
         if "(format v" not in line.lower():
             raise lines.error("the next channel must begin with its format version", repr(line.strip()[:60]))
-        first = _text(lines, 1, "a channel")[0].lower()
+        first = lines.take("a channel").lower()
         if "spectr" in first:
             raise lines.error(*NO_SPECTRA)
         n_text = to_count(next(iter(first.rpartition("with")[2].split()), ""))
-        n_text = positive(lines, n_text, "the number of text lines")
-        text = [lines.take(f"{n_text} lines of text") for _ in range(n_text - 1)]
+        text = lines.several(positive(lines, n_text, "the number of text lines") - 1, "more lines of text")
         _announced(lines, "integer", 8)
         reals = _announced(lines, "real", 13)
         _announced(lines, "comment")
@@ -316,7 +291,8 @@ def read_cosmos(lines: Lines) -> list[Channel]:
 
 def _counted(lines: Lines, what: str, *words: str) -> tuple[int, str]:
     """The number that begins the next line that is not blank, and the line, which has some words."""
-    line = _text(lines, 1, what)[0].lower()
+    lines.peek()
+    line = lines.take(what).lower()
     count = to_count(next(iter(line.split()), ""))
     if count is None or not all(word in line for word in words):
         raise lines.error(f"{what} must stand here")
@@ -327,7 +303,7 @@ def _announced(lines: Lines, kind: str, width: int = 0) -> np.ndarray | None:
     """The integers or reals below the line that says how many they are; of comments that they are some."""
     count, line = _counted(lines, f"the number of {kind} header values or lines", kind)
     if width:
-        return lines.fields(count, column_width(line, width), f"{kind} header values")
+        return lines.numbers(count, f"{kind} header values", column_width(line, width))
     return _comments(lines, count)
 
 
@@ -341,13 +317,13 @@ def _cosmos_series(lines: Lines, name: str, reals: np.ndarray) -> Iterator[Chann
     """Accelerations up to the next headers; velocities and displacements are passed over."""
     while (line := lines.peek()) is not None and "(format v" not in line.lower():
         if line.lstrip().lower().startswith("end-of-data"):
-            _text(lines, 1, "a series")
+            lines.take("a series")
             continue
         what = "the number of points, their units and quantity, as acceleration,"
         n_times, line = _counted(lines, what, "units=")
         if not any(word in line for word in QUANTITIES):
             raise lines.error(f"{what} must stand here")
-        values = lines.fields(n_times, column_width(line, 10), "values")
+        values = lines.numbers(n_times, "values", column_width(line, 10))
         if "accel" not in line or "velocity" in line:
             continue
         word, _, code = line.partition("units=")[2].partition("(")
@@ -355,8 +331,8 @@ def _cosmos_series(lines: Lines, name: str, reals: np.ndarray) -> Iterator[Chann
         steps = [float(step) for step in (1e-3 * reals[STEP], reals[RAW_STEP]) if step > 0.0]
         if steps:
             check_duration(lines, n_times, steps[0], number_after(line, "approx"), (1.0, 0.02))
-        check_peak(lines, name, values, reals[PEAK] if reals[PEAK] > -999.0 else None)
-        yield Channel(name, factor * values, unit, next(iter(steps), None))
+        peak = reals[PEAK] if reals[PEAK] > -999.0 else None
+        yield channel(lines, name, values, unit, peak, factor, dt=next(iter(steps), None))
 
 
 # --- CSMIP and CESMD, volumes 1 and 2, in lines of 80; film is digitised at uneven times -----------------
@@ -377,9 +353,9 @@ def read_csmip(lines: Lines) -> list[Channel]:
             raise lines.error(*NO_SPECTRA)
         if not volume and not first.startswith(("/&", "end")):
             raise lines.error("a channel or its end must follow", repr(line.strip()[:60]))
-        text = _text(lines, TEXT_LINES.get(volume, 1), "a channel or its end")
-        for _ in range(NUMBER_LINES.get(volume, 0)):  # which repeat what text and the line above values say
-            lines.take(f"{NUMBER_LINES[volume]} lines of numbers below the text")
+        text = lines.several(TEXT_LINES.get(volume, 1), "lines of text")
+        # which repeat what text and the line above values say
+        lines.several(NUMBER_LINES.get(volume, 0), "lines of numbers below the text")
         text = [" ".join(line.split()) for line in text]
         if volume == 1:
             channels.append(_volume_1(lines, text))
@@ -394,9 +370,8 @@ def _section(lines: Lines, quantity: str, name: str, peak: float | None = None) 
     """A series below the line that says how many values there are, how far apart, and in which unit."""
     count, line = _counted(lines, f"the number of points of {quantity} data", quantity, "points")
     dt = positive(lines, number_after(line, "spaced at"), "the step")
-    values = lines.fields(count, column_width(line, 10), "values")
-    check_peak(lines, name, values, peak)
-    return Channel(name, values, unit_in(line.partition("sec")[2]), dt)
+    values = lines.numbers(count, "values", column_width(line, 10))
+    return channel(lines, name, values, unit_in(line.partition("sec")[2]), peak, dt=dt)
 
 
 def _volume_1(lines: Lines, text: list[str]) -> Channel:
@@ -405,13 +380,13 @@ def _volume_1(lines: Lines, text: list[str]) -> Channel:
         n_pairs = positive(lines, number_after(text[10], "points"), "the number of points")
         if n_pairs != round(n_pairs):
             raise lines.error("the number of points must be whole", n_pairs)
-        times, values = lines.fields(2 * int(n_pairs), PAIR_WIDTH, "times and values").reshape(-1, 2).T
+        times, values = lines.numbers(2 * int(n_pairs), "times and values", PAIR_WIDTH).reshape(-1, 2).T
         spacing = even_or_times(times, PAIR_QUANTUM, lambda row: lines.where())
         unit = text[11].lower().partition(" and ")[2]
     else:
         count, line = _counted(lines, "the number of points, and their rate in pts/sec,", "pts/sec")
         rate = positive(lines, number_after(line, "points at"), "the samples in a second")
-        values, spacing = lines.fields(count, column_width(line, 9), "values"), {"dt": 1.0 / rate}
+        values, spacing = lines.numbers(count, "values", column_width(line, 9)), {"dt": 1.0 / rate}
         unit = line.partition("units of")[2]
     word = next(iter(unit.split()), "").strip(".,")
     factor, unit = (0.1, "g") if word == "g/10" else (1.0, unit_in(word))
@@ -428,11 +403,11 @@ def read_geonet(lines: Lines) -> list[Channel]:
     """The components of a file."""
     channels = []
     while lines.peek() is not None:
-        text = _text(lines, 16, "a component")
+        text = lines.several(16, "lines of text")
         volume = text[0].lower()
         if "corrected accelerogram" not in volume:
             raise lines.error("a component must begin with its volume", repr(text[0].strip()[:60]))
-        integers, reals = lines.fields(40, 8, "integers"), lines.fields(60, 8, "reals")
+        integers, reals = lines.numbers(40, "integers", 8), lines.numbers(60, "reals", 8)
         step = STEP_1 if volume.startswith("uncorrected") else STEP_2
         n_times = int(integers[POINTS])
         dt = positive(lines, float(reals[step]), "the step")
@@ -445,12 +420,12 @@ def read_geonet(lines: Lines) -> list[Channel]:
             )
         if text[13].split()[3:4] != ["mm/s/s"] or number_after(text[10], "in units of") not in (None, 1.0):
             raise lines.error("accelerations must be in mm/s/s", repr(text[13].strip()[:60]))
-        values = lines.fields(n_times, 8, "accelerations")
+        values = lines.numbers(n_times, "accelerations", 8)
         for n_others in integers[POINTS + 1 : POINTS + 3]:  # velocities, displacements
-            lines.fields(max(int(n_others), 0), 8, "values")
+            lines.numbers(max(int(n_others), 0), "values", 8)
         name = next(iter(text[12].partition("Component")[2].split()), "acceleration")
-        check_peak(lines, name, values, number_after(text[13], "peak"))
-        channels.append(Channel(name, 1e-3 * values, "m/s^2", dt))
+        peak = number_after(text[13], "peak")
+        channels.append(channel(lines, name, values, "m/s^2", peak, 1e-3, dt=dt))
     return channels
 
 
@@ -463,14 +438,12 @@ DIGITS = 5  # that are printed of every value
 
 def read_smc(lines: Lines) -> list[Channel]:
     """The acceleration of a file [cm/s^2]."""
-    text = [lines.take("11 lines of text") for _ in range(11)]
+    text = lines.several(11, "lines of text")
     if "accelerogram" not in text[0].lower():
         raise ValueError(f"{lines.title} must hold an acceleration, got {text[0].strip()[:40]!r}.")
-    integers, reals = lines.fields(48, 10, "integers"), lines.fields(50, 15, "reals")
-    n_values = int(integers[N_VALUES])
+    integers, reals = lines.numbers(48, "integers", 10), lines.numbers(50, "reals", 15)
     _comments(lines, int(integers[N_COMMENTS]))
-    values = lines.fields(n_values, 10, "values")
-    check_end(lines, f"the {n_values} values")
+    values = lines.numbers(int(integers[N_VALUES]), "values", 10)
     name = " ".join(text[5].partition("component=")[2].split()) or "acceleration"
     stated = {k: float(reals[k]) for k in (RATE, HIGHEST, LOWEST)}
     stated = {k: real for k, real in stated.items() if not np.isclose(real, reals[NULL], rtol=1e-3)}
@@ -482,10 +455,8 @@ def read_smc(lines: Lines) -> list[Channel]:
         times, values = values.reshape(-1, 2).T
         quantum = 10.0 ** (np.floor(np.log10(max(times[-1], 1e-9))) - DIGITS + 1)
         spacing = even_or_times(times, quantum, lambda row: lines.where())
-    check_peak(
-        lines, name, values, max((abs(stated[k]) for k in (HIGHEST, LOWEST) if k in stated), default=None)
-    )
-    return [Channel(name, values, "cm/s^2", **spacing)]
+    peak = max((abs(stated[k]) for k in (HIGHEST, LOWEST) if k in stated), default=None)
+    return [channel(lines, name, values, "cm/s^2", peak, **spacing)]
 
 
 # --- the table: name, how the first lines begin in lower case, usual endings, what files state, reader ------
@@ -547,7 +518,10 @@ LAYOUTS: tuple[tuple[str, str, str, str, Callable], ...] = (
 
 def _format(name: str, begins: str, files: str, states: str, read: Callable) -> Format:
     def recording(path, request) -> Recording:
-        found = read(Lines(path, name.partition(" and ")[0]))
+        lines = Lines(path, name.partition(" and ")[0])
+        found = read(lines)
+        if lines.announced and (line := lines.peek()) is not None:
+            raise lines.error(f"nothing may follow the {lines.announced}", repr(line.strip()[:60]))
         channels, title = found if isinstance(found, tuple) else (found, None)
         return Recording(path.name, channels, title)
 

@@ -72,6 +72,7 @@ class Lines:
         self.file, self.stem = path.name, path.stem
         self.title = f"{path.name} ({format_name})" if format_name else path.name
         self.number, self.last = 0, ""  # of the line that was taken last, and what it says
+        self.announced = ""  # which numbers were read last
         plain = not zeros and raw.isascii() and b"\r" not in raw
         self.raw = raw if plain else decoded(raw).encode(errors="replace")  # UTF-8 with line feeds
 
@@ -100,9 +101,12 @@ class Lines:
                 yield number, line
 
     def peek(self) -> str | None:
-        """The next line that is not blank, None at the end of the file; it is not taken."""
-        below = (self.whole[k] for k in range(self.number, len(self.whole)))
-        return next((line for line in below if line.strip()), None)
+        """The next line that is not blank, None at the end of the file; blank ones before it are passed."""
+        while self.number < len(self.whole):
+            if (line := self.whole[self.number]).strip():
+                return line
+            self.number += 1
+        return None
 
     def take(self, what: str) -> str:
         """The next line, blank or not; `what` it should be, for the message at the end of the file."""
@@ -114,6 +118,10 @@ class Lines:
         self.number += 1
         return self.last
 
+    def several(self, count: int, what: str) -> list[str]:
+        """The next lines, as many as `what` says."""
+        return [self.take(f"{count} {what}") for _ in range(count)]
+
     def where(self) -> str:
         """How a message calls the line that was taken last."""
         return f"{self.title}, line {self.number}"
@@ -123,20 +131,17 @@ class Lines:
         got = repr(self.last.strip()[:80]) if got is None else got
         return ValueError(f"{self.where()}: {condition}, got {got}. {advice}")
 
-    def fields(self, count: int, width: int, what: str) -> np.ndarray:
-        """Numbers (count,) at the right ends of columns of `width` characters, on as many lines as it takes.
-
-        Neighbours may touch, as Fortran writes them. Only the last line may be shorter than the first.
-        """
-        return self.words(count, what, width=width)
-
-    def words(
-        self, count: int, what: str, whole: bool = False, per_line: int = 0, width: int = 0
+    def numbers(
+        self, count: int, what: str, width: int = 0, *, whole: bool = False, per_line: int = 0
     ) -> np.ndarray:
-        """Numbers (count,) between blanks, or in columns, from as many lines as it takes; `whole`: counts."""
-        values, wanted = array("d"), f"{count // (per_line or 1)} {what}"
+        """Numbers (count,) from as many lines as it takes: between blanks, or in columns of `width` characters.
+
+        In columns neighbours may touch, as Fortran writes them; only the last line may be shorter than the
+        first. `whole`: the numbers are counts.
+        """
+        values, self.announced = array("d"), f"{count // (per_line or 1)} {what}"
         while len(values) < count:
-            line = self.take(wanted).rstrip()
+            line, where = self.take(self.announced).rstrip(), self.where()
             tokens = line.split()
             if width:
                 tokens = [line[start : start + width].lstrip() for start in range(0, len(line), width)]
@@ -148,12 +153,9 @@ class Lines:
             if per_line and not last and (len(tokens) % per_line if width else len(tokens) != per_line):
                 raise self.error(f"lines must hold {per_line} values", len(tokens))
             for token in tokens:
-                number = to_number(token)
                 if whole and not _WHOLE.fullmatch(token):
                     raise self.error("values must be counts, whole numbers", repr(token[:60]))
-                if number is None or not -np.inf < number < np.inf:
-                    raise not_a_number(self.where(), token)
-                values.append(number)
+                values.append(finite(token, where))
         if len(values) != count:
             raise self.error(f"the file must hold the {count} {what} that it announces", len(values))
         return np.array(values)
@@ -167,24 +169,20 @@ def column_width(text: str, otherwise: int) -> int:
 
 def warn_of_widths(title: str, lines: Iterable[tuple[int, str]]) -> None:
     """Tell of a line of numbers in columns whose length, or plus sign, few others have."""
-    numbers, lengths, plus = array("q"), array("q"), array("q")
-    for number, line in lines:
-        numbers.append(number)
-        lengths.append(len(line.rstrip()))
-        plus.append(_PLUS.search(line) is not None)
-    few = max(1, RARE * len(numbers))
-    if len(numbers) <= FEWEST_LINES:
+    found = [(number, len(line.rstrip()), _PLUS.search(line) is not None) for number, line in lines]
+    if len(found) <= FEWEST_LINES:
         return
-    usual = np.bincount(np.array(lengths)[:-1]).argmax()
-    odd = np.flatnonzero(np.array(lengths)[:-1] != usual)
-    if 0 < odd.size <= few:
+    numbers, lengths, plus = np.array(found).T
+    usual, few = np.bincount(lengths[:-1]).argmax(), max(1, RARE * len(found))
+    odd = lengths[:-1] != usual
+    if 0 < odd.sum() <= few:
         warn_caller(
-            f"{title}, line {numbers[odd[0]]}: numbers must fill their columns, the line has "
-            f"{lengths[odd[0]]} characters, others {usual}. Is a digit or a sign lost?"
+            f"{title}, line {numbers[odd.argmax()]}: numbers must fill their columns, the line has "
+            f"{lengths[odd.argmax()]} characters, others {usual}. Is a digit or a sign lost?"
         )
-    elif 0 < sum(plus) <= few:
+    elif 0 < plus.sum() <= few:
         warn_caller(
-            f"{title}, line {numbers[plus.index(1)]}: a number has a plus sign, others have none. Is it one?"
+            f"{title}, line {numbers[plus.argmax()]}: a number has a plus sign, others have none. Is it one?"
         )
 
 
@@ -200,6 +198,14 @@ def to_number(token: str) -> float | None:
 def to_count(token: str) -> int | None:
     """A whole number of at most twelve digits, None for anything else."""
     return int(token) if token.isascii() and token.isdigit() and len(token) <= 12 else None
+
+
+def finite(token: str, where: str) -> float:
+    """Value of a finite number; `where` is how a message calls its place."""
+    number = to_number(token)
+    if number is None or not -np.inf < number < np.inf:
+        raise not_a_number(where, token)
+    return number
 
 
 def not_a_number(where: str, token: str) -> ValueError:
