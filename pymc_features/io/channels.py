@@ -29,7 +29,7 @@ from pymc_features._checks import (
 )
 from pymc_features.io.formats import read_file
 from pymc_features.io.formats.libraries import is_source, recording_in
-from pymc_features.io.reading.clock import Clock, common_window, no_common_time, without_clocks
+from pymc_features.io.reading.clock import Clock, aligned, no_common_time, without_clocks
 from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
 from pymc_features.io.reading.recording import Recording, Request, chosen, in_si
 
@@ -136,7 +136,7 @@ def read_channels(
     ...     read_channels(path).sel(sensor="roof").values
     array([0.   , 2.943, 0.981])
     """
-    asked = Request(None, units, step_or_rate(dt, fs), clock, clock_units, skip, wrapped)
+    asked = Request(step_or_rate(dt, fs), clock, clock_units, skip, wrapped, units=units)
     return _read(files, columns, checked(asked), resample)
 
 
@@ -192,8 +192,7 @@ def read_channels_with_gaps(
     array([[ 0.1,  0. , -0.2,  nan,  0.1],
            [ 0. ,  nan,  0.1,  nan,  0.2]])
     """
-    dt = step_or_rate(dt, fs)
-    asked = Request(None, units, dt, clock, clock_units, skip, wrapped, gaps=True)
+    asked = Request(step_or_rate(dt, fs), clock, clock_units, skip, wrapped, gaps=True, units=units)
     return _read(files, columns, checked(asked), resample)
 
 
@@ -211,9 +210,7 @@ def checked(asked: Request) -> Request:
     seconds = asked.clock_units
     return asked._replace(
         dt=None if asked.dt is None else check_step(asked.dt),
-        clock=asked.clock
-        if asked.clock is None or asked.clock is False
-        else check_column(asked.clock, "clock"),
+        clock=asked.clock if asked.clock in (None, False) else check_column(asked.clock, "clock"),
         clock_units=None if seconds is None else unit_factor(seconds, "time", "clock_units"),
         skip=check_integer(asked.skip, "skip", least=0, advice="It counts rows at the start."),
     )
@@ -223,8 +220,7 @@ def recording_from(source, request: Request, name: str = "files") -> Recording:
     """The channels of a file, or of what is in memory already."""
     if is_source(source):
         return recording_in(source, request)
-    path = check_file(source, name)
-    return read_file(path, request)
+    return read_file(check_file(source, name), request)
 
 
 def _read(files, columns, request: Request, resample) -> "xr.DataArray":
@@ -237,9 +233,8 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     if resample is not None:
         resample = check_positive(resample, "resample", "Pass the sampling rate in Hz.")
     kept, names, rows, clocks, quantities, delays = {}, [], [], [], [], []
-    for label, source, own, settings in _sensors(files, columns, request, bool(resample)):
-        asked = own._replace(columns=None, units=None, quantity="", sensitivity=None)
-        key = id(source) if is_source(source) else str(source), asked
+    for label, source, own in _sensors(files, columns, request, bool(resample)):
+        key = id(source) if is_source(source) else str(source), own.of_file
         recording = kept[key] = kept.get(key) or recording_from(source, own)
         found = chosen(recording, own.columns)
         names.append((label, [channel.name for channel in found]))
@@ -247,27 +242,26 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
         apart = len({clock.start for _, clock in histories}) > 1
         for channel, (history, clock) in zip(found, histories, strict=True):
             clock = clock._replace(file=f"{recording.file} ({channel.name})") if apart else clock
-            if "anchors" in settings:  # two readings whose true times are known
-                (first, at_first), (last, at_last) = settings["anchors"]
+            if own.anchors is not None:  # two readings whose true times are known
+                (first, at_first), (last, at_last) = own.anchors
                 ratio = (at_last - at_first) / (last - first)
                 start = at_first + ratio * ((clock.start or 0.0) - first)
                 clock = clock._replace(dt=ratio * clock.dt, start=start)
-            rows.append(settings["scale"] * history if "scale" in settings else history)
+            rows.append(own.scale * history)
             clocks.append(clock)
             quantities.append(own.quantity)
-            delays.append(settings.get("delay"))
+            delays.append(own.delay)
     if any(delay is not None for delay in delays) and all(clock.start is None for clock in clocks):
         clocks = [clock._replace(start=0.0) for clock in clocks]
     # a clock is set back by whole samples unless it is resampled, and its history moved by the rest
-    delays = [delay or 0.0 for delay in delays]
-    whole = [
-        d if resample else clock.dt * round(d / clock.dt) for d, clock in zip(delays, clocks, strict=True)
-    ]
+    late = np.array([delay or 0.0 for delay in delays])
+    steps = np.array([clock.dt for clock in clocks])
+    whole = late if resample else steps * np.rint(late / steps)
     clocks = [
-        clock if clock.start is None else clock._replace(start=clock.start - late)
-        for clock, late in zip(clocks, whole, strict=True)
+        clock if clock.start is None else clock._replace(start=clock.start - by)
+        for clock, by in zip(clocks, whole.tolist(), strict=True)
     ]
-    values, step, start = _resampled(rows, clocks, resample) if resample else _aligned(rows, clocks)
+    values, step, start = _resampled(rows, clocks, resample) if resample else aligned(rows, clocks)
     sensors = _sensor_names(names, files, columns)
     time = ("time", step * np.arange(values.shape[1]), {"units": "s"})
     coords, name = {"sensor": sensors, "time": time}, quantities[0]
@@ -276,22 +270,15 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
         coords |= {"quantity": ("sensor", quantities), "units": ("sensor", [SI[q] for q in quantities])}
         name, attrs = "measured", {"start": start}
     channels = xr.DataArray(values, coords, ("sensor", "time"), name=name, attrs=attrs)
-    rest = {s: d - w for s, d, w in zip(sensors, delays, whole, strict=True) if abs(d - w) > 1e-9 * step}
+    rest = {s: by for s, by in zip(sensors, (late - whole).tolist(), strict=True) if abs(by) > 1e-9 * step}
     channels = correct(channels, delay=rest) if rest else channels
     if (accelerations := np.array(quantities) == "acceleration").any():
         check_each(channels if accelerations.all() else channels[accelerations])
     return channels
 
 
-def _aligned(rows, clocks: list[Clock]) -> tuple[np.ndarray, float, float]:
-    """Values (sensor, time) in the common window, by whole samples; the step and the start [s]."""
-    window = common_window(clocks)
-    parts = [row[k : k + window.n_times] for row, k in zip(rows, window.first, strict=True)]
-    return np.array(parts), window.dt, window.start
-
-
 def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, float, float]:
-    """Values (sensor, time) at a common rate [Hz], each sensor moved to the same times."""
+    """Values (sensor, time) at a common rate [Hz], each moved to the same times; step and start [s]."""
     from pymc_features import band_limited
     from pymc_features.signals.channels import filled, widened
 
@@ -315,65 +302,61 @@ def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, floa
     return np.array(found), 1.0 / rate, start
 
 
-def _sensors(files, columns, request: Request, resampled: bool) -> list[tuple[str, object, Request, dict]]:
-    """Name, source, request and settings of its own of each entry of `files`."""
-    picked = None
-    if columns is not None:
-        several = list(columns.values()) if isinstance(columns, Mapping) else as_list(columns)
-        picked = [check_column(column, "columns") for column in ([columns] if several is None else several)]
-    if isinstance(files, str | PathLike) or is_source(files):
-        files = [files]
+def _sensors(files, columns, request: Request, resampled: bool) -> list[tuple[str, object, Request]]:
+    """Name and source of each entry of `files`, and what is said of it."""
+    several = list(columns.values()) if isinstance(columns, Mapping) else as_list(columns)
+    picked = [columns] if several is None and columns is not None else several
     if isinstance(files, Mapping):
         entries = [(str(name), source) for name, source in files.items()]
-    elif (sources := as_list(files)) is not None:
-        entries = [(None, source) for source in sources]
     else:
-        what = "a path, several, or a mapping of sensor names to paths"
-        raise TypeError(message("files", what, shown(files)))
+        sources = [files] if isinstance(files, str | PathLike) or is_source(files) else as_list(files)
+        if sources is None:
+            what = "a path, several, or a mapping of sensor names to paths"
+            raise TypeError(message("files", what, shown(files)))
+        entries = [(None, source) for source in sources]
     for name, some in (("files", entries), ("columns", picked)):
         if some == []:
             raise ValueError(f"`{name}` must name at least one, got none.")
+    request = request._replace(columns=picked and [check_column(column, "columns") for column in picked])
     found = []
     for name, source in entries:
-        own, settings = request._replace(columns=picked), {}
+        own = request
         if isinstance(source, Mapping):
-            source, own, settings = _of_sensor(name, dict(source), own, resampled)
+            source, own = _of_sensor(name, source, request, resampled)
         if name is None:
             name = "" if is_source(source) else check_path(source, "files").stem
-        found.append((name, source, own, settings))
+        found.append((name, source, own))
     return found
 
 
-def _of_sensor(name, given: dict, request: Request, resampled: bool) -> tuple[object, Request, dict]:
-    """The file of one sensor, the request for it, and its settings, from a mapping."""
-    unknown = [key for key in given if key not in OF_SENSOR]
-    if unknown or "file" not in given:
+def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> tuple[object, Request]:
+    """The file of one sensor, and what is said of it, from a mapping."""
+    unknown = [key for key in said if key not in OF_SENSOR]
+    if unknown or "file" not in said:
         what = f"`file` and any of {', '.join(OF_SENSOR[1:])} of {name!r}"
-        raise ValueError(message("files", what, listed(unknown or list(given))))
-    settings = {key: check_number(given.pop(key), key) for key in ("scale", "delay") if key in given}
-    for key, value in settings.items():
+        raise ValueError(message("files", what, listed(unknown or list(said))))
+    numbers = {key: check_number(said[key], key) for key in ("scale", "delay") if key in said}
+    for key, value in numbers.items():
         check_finite(np.float64(value), key)
-    if settings.get("scale") == 0.0:
+    if numbers.get("scale") == 0.0:
         raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
-    if "anchors" in given:
+    own = request._replace(**{key: said[key] for key in OF_ALL if key in said}, **numbers)
+    if "anchors" in said:
         if not resampled:
             raise ValueError(
                 f"`resample` must be given with `anchors` of {name!r}, got none. Pass a rate [Hz]."
             )
-        pairs = [as_list(pair) or [] for pair in as_list(given["anchors"]) or []]
-        numbers = [check_number(value, "anchors") for pair in pairs for value in pair]
-        two = [len(pair) for pair in pairs] == [2, 2]
-        if not two or not (numbers[2] > numbers[0] and numbers[3] > numbers[1]):
+        pairs = [as_list(pair) or [] for pair in as_list(said["anchors"]) or []]
+        pairs = [[check_number(value, "anchors") for value in pair] for pair in pairs]
+        if np.shape(pairs) != (2, 2) or not (np.diff(pairs, axis=0) > 0.0).all():
             what = "two pairs of a reading of the clock and its true time in seconds, the later second"
-            raise ValueError(message("anchors", what, shown(given["anchors"])))
-        settings["anchors"] = numbers[:2], numbers[2:]
-    own = request._replace(**{key: given[key] for key in OF_ALL if key in given})
-    if "fs" in given:
-        own = own._replace(dt=step_or_rate(given.get("dt"), given["fs"]))
-    own = checked(own)
-    if given.get("column") is not None:
-        own = own._replace(columns=[check_column(given["column"], "column")])
-    return given["file"], own, settings
+            raise ValueError(message("anchors", what, shown(said["anchors"])))
+        own = own._replace(anchors=pairs)
+    if "fs" in said:
+        own = own._replace(dt=step_or_rate(said.get("dt"), said["fs"]))
+    if said.get("column") is not None:
+        own = own._replace(columns=[check_column(said["column"], "column")])
+    return said["file"], checked(own)
 
 
 def check_column(column, name: str) -> int | str:

@@ -17,20 +17,18 @@ Structure; Reeve, A., npTDMS, https://github.com/adamreeve/npTDMS.
 import re
 import struct
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from pymc_features._checks import as_list, listed, message, shown, warn_caller
-from pymc_features.io.formats.matlab import read_matlab
 from pymc_features.io.reading.labels import Label, role_of, unit_of
 from pymc_features.io.reading.lines import Lines, by_library, to_count, to_number, warn_of_widths
 from pymc_features.io.reading.recording import (
     Channel,
     Columns,
-    Format,
     Opening,
     Recording,
     Request,
@@ -56,17 +54,10 @@ UNLABELLED = "", "none"
 COLUMNS = {6: [(0, 5), (5, 15), (15, 20), (20, 30), (41, 51), (51, 55), (66, 76), (76, 80)]}
 COLUMNS |= {7: [(0, 10), (10, 20), (20, 30)]}
 RIGHT = re.compile(r" *[-+]?\d+")
+#: How a file begins: -1 in columns 5 and 6, and a number that ends in column 6 below it.
+UNIVERSAL = rb"[\r\n]*    -1[ \t]*(?:\r\n|\r|\n) *\d+(?<=[\r\n].{6})"
 TYPES = {"strain": 2, "displacement": 8, "force": 9, "velocity": 11, "acceleration": 12, "pressure": 15}
 QUANTITY_OF_TYPE = {number: name for name, number in TYPES.items()} | {0: None, 1: None}  # which do not say
-
-
-def is_universal(head: bytes) -> bool:
-    """Whether a file begins with -1 in columns 5 and 6, and a number that ends in column 6 below it."""
-    lines = head.lstrip(b"\r\n").splitlines()[:2]
-    if len(lines) < 2 or lines[0].rstrip() != b"    -1":
-        return False
-    number = lines[1][:6]
-    return len(number) == 6 and number.strip().isdigit() and number[-1:].isdigit()
 
 
 def is_mark(line: str) -> bool:
@@ -75,9 +66,7 @@ def is_mark(line: str) -> bool:
 
 
 def read_universal(path: Path, request: Request) -> Recording:
-    """All time histories of a file, named by node and direction."""
-    with by_library("pyuff", "modal", path, "Universal"):
-        import pyuff
+    """All time histories of a file, named by node and direction; why one that is spoilt cannot be taken."""
     raw = path.read_bytes()
     if not raw.rstrip().endswith(b"    -1"):
         raise ValueError(
@@ -85,6 +74,8 @@ def read_universal(path: Path, request: Request) -> Recording:
         )
     _check_text(path, raw)
     with by_library("pyuff", "modal", path, "Universal"), warnings.catch_warnings():
+        import pyuff
+
         warnings.simplefilter("ignore")
         file = pyuff.UFF(str(path))
         kinds = [int(kind) for kind in file.get_set_types()]
@@ -97,21 +88,18 @@ def read_universal(path: Path, request: Request) -> Recording:
         )
     if odd := [kind for kind in dict.fromkeys(kinds) if kind not in KNOWN]:
         warn_caller(f"{path.name}: the data sets {listed(odd)} are of no known type. Is a digit of one lost?")
-    channels = [_channel(path.name, found, raw) for found in sets]
+    channels = []
+    for found in sets:
+        direction = found["rsp_dir"]
+        axis = dict(enumerate(AXES, 1)).get(abs(direction), "")
+        name = f"{found['rsp_node']}{'-' if direction < 0 else ''}{axis}"
+        try:
+            channels.append(_history(name, found, raw))
+        except ValueError as error:
+            channels.append(Channel(name, np.zeros(0), problem=f"{path.name} ({NAME}), {name}: {error}"))
     if len({channel.start for channel in channels if not channel.problem}) < 2:
         channels = [channel._replace(start=None) for channel in channels]
     return Recording(path.name, channels)
-
-
-def _channel(file: str, found: dict, raw: bytes) -> Channel:
-    """A time history, as its data set describes it; of one that is spoilt, why it cannot be taken."""
-    direction = found["rsp_dir"]
-    axis = AXES[abs(direction) - 1] if 1 <= abs(direction) <= len(AXES) else ""
-    name = f"{found['rsp_node']}{'-' if direction < 0 else ''}{axis}"
-    try:
-        return _history(name, found, raw)
-    except ValueError as error:
-        return Channel(name, np.zeros(0), problem=f"{file} ({NAME}), {name}: {error}")
 
 
 def _history(name: str, found: dict, raw: bytes) -> Channel:
@@ -121,7 +109,7 @@ def _history(name: str, found: dict, raw: bytes) -> Channel:
             f"functions must be time histories, type 1, got type {found['func_type']}. Identify the modes "
             "from frequency response functions first."
         )
-    values, times = np.asarray(found["data"], dtype=np.float64), np.asarray(found["x"], dtype=np.float64)
+    values, times = (np.asarray(found[key], dtype=np.float64) for key in ("data", "x"))
     n = found["num_pts"]
     if n < values.size < n + PER_LINE and not values[n:].any():  # the last line is filled up with zeros
         values, times = values[:n], times[:n]
@@ -168,15 +156,6 @@ def _check_text(path: Path, raw: bytes) -> None:
                 warn_of_widths(path.name, lines[first + 13 : last])
 
 
-UNIVERSAL = Format(
-    "Universal File 58, by pyuff",
-    lambda opening: is_universal(opening.head),
-    ".uff, .unv",
-    "step, units, channels by node and direction. Needs the extra `modal`",
-    read_universal,
-)
-
-
 # --- seismograms, by ObsPy --------------------------------------------------------------------------
 
 VERSIONS = (6, 7)  # of the SAC header
@@ -201,31 +180,20 @@ def _is_sac_text(opening: Opening) -> bool:
     return to_count(lines[15][1]) in VERSIONS and sum(word.startswith("-12345") for word in words) > 9
 
 
-def _is_miniseed(opening: Opening) -> bool:
-    """Six digits, a letter for the quality and a blank, in front of every record."""
-    head = opening.head
-    return len(head) >= 48 and head[:6].isdigit() and head[6:7] in b"DRQM" and head[7:8] in b" \0"
-
-
-def _is_timeseries(layout: str) -> Callable[[Opening], bool]:
-    """A first line of TIMESERIES with a layout among its words."""
-    begins = re.compile(rf"TIMESERIES (?:.*,)?\s*{layout}\s*(?:,|$)", re.MULTILINE)
-    return lambda opening: begins.match(opening.lines[0] if opening.lines else "") is not None
-
-
-#: Name of a format, as ObsPy calls it: whether a file begins like one.
-KINDS: dict[str, Callable[[Opening], bool]] = {
+#: Name of a format, as ObsPy calls it, and how its files begin: MiniSEED with six digits, the quality and a
+#: blank, the text formats with a line that has the layout among its words.
+KINDS = {
     "SAC": _is_sac,
     "SACXY": _is_sac_text,
-    "MSEED": _is_miniseed,
-    "TSPAIR": _is_timeseries("TSPAIR"),
-    "SLIST": _is_timeseries("SLIST"),
+    "MSEED": rb"(?s)\d{6}[DRQM][ \0].{40}",
+    "TSPAIR": rb"TIMESERIES (?:.*,)?[ \t]*TSPAIR[ \t]*(?:[,\r\n]|$)",
+    "SLIST": rb"TIMESERIES (?:.*,)?[ \t]*SLIST[ \t]*(?:[,\r\n]|$)",
 }
 
 
 def kind_of(opening: Opening) -> str | None:
     """Which of the formats a file is of."""
-    return next((kind for kind, begins in KINDS.items() if begins(opening)), None)
+    return next((kind for kind, begins in KINDS.items() if opening.begins(begins)), None)
 
 
 def read_waveforms(path: Path, request: Request) -> Recording:
@@ -281,15 +249,6 @@ def stamped_steps(path: Path, stream) -> dict[str, float]:
     return found
 
 
-WAVEFORMS = Format(
-    "SAC, MiniSEED, TSPAIR and SLIST, by ObsPy",
-    lambda opening: kind_of(opening) is not None,
-    ".sac, .mseed, .txt",
-    "step, channels, start; pass `units`. Needs the extra `seismic`",
-    read_waveforms,
-)
-
-
 # --- loggers and tables: TDMS by npTDMS, Parquet by pandas, HDF5 by h5py ----------------------------
 
 
@@ -327,31 +286,6 @@ def read_parquet(path: Path, request: Request) -> Recording:
     with by_library("pyarrow", "daq", path, "Parquet", "Save it again."):
         frame = pd.read_parquet(path)
     return recording_in(frame, request)._replace(file=path.name)
-
-
-BINARY = (
-    Format(
-        "TDMS, by npTDMS",
-        lambda opening: opening.head[:4] == b"TDSm",
-        ".tdms",
-        "step, start, units, channels. Needs the extra `daq`",
-        read_tdms,
-    ),
-    Format(
-        "Parquet, by pandas",
-        lambda opening: opening.head[:4] == b"PAR1",
-        ".parquet",
-        "names, units in them, a clock among its columns. Needs the extra `daq`",
-        read_parquet,
-    ),
-    Format(
-        "HDF5",
-        lambda opening: opening.head[:8] == b"\x89HDF\r\n\x1a\n" and opening.suffix != ".mat",
-        ".h5, .hdf5",
-        "names, attributes `units`, `dt` and `fs`, a clock among its data sets",
-        read_matlab,
-    ),
-)
 
 
 # --- in memory: pandas, xarray, ObsPy, and the dicts of SEP005 ---------------------------------------

@@ -22,7 +22,7 @@ import numpy as np
 from pymc_features._checks import listed
 from pymc_features.io.reading.labels import Label, Unit, unit_of
 from pymc_features.io.reading.lines import check_size, most_bytes, shortened, to_number
-from pymc_features.io.reading.recording import Channel, Columns, Format, Recording, Request, recording_of
+from pymc_features.io.reading.recording import Channel, Columns, Recording, Request, recording_of
 
 #: Quantity and SI units of numbers that state the step.
 SCALARS = {"dt": ("time", 1.0)} | dict.fromkeys(("fs", "samplingrate", "samplerate"), ("frequency", 1.0))
@@ -310,12 +310,3 @@ def _stated_step(facts: Mapping, inside: str, file: str, dt: float | None) -> fl
         said = listed([f"{name}: {step:g} s" for name, step in steps.items()])
         raise ValueError(f"`dt` must be given, {file} contradicts itself ({said}).")
     return first
-
-
-MATLAB = Format(
-    "MATLAB",
-    lambda opening: opening.suffix == ".mat",
-    ".mat",
-    "what its variables `dt`, `fs`, `t`, `time` and `units` state",
-    read_matlab,
-)

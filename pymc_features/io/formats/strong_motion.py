@@ -1,7 +1,7 @@
 """Strong-motion records: PEER AT2, ESM, K-NET, NSMN and UNAM; COSMOS, CSMIP, GeoNet and SMC in blocks.
 
 A reader takes the lines of a file and gives its channels, or these and the name of the recording;
-`STRONG_MOTION` is their table. Pacific Earthquake Engineering Research Center, AT2 (spellings have varied
+`LAYOUTS` is their table. Pacific Earthquake Engineering Research Center, AT2 (spellings have varied
 over the decades). Luzi, L. et al. (2016), Engineering Strong Motion database, Seism. Res. Lett. 87,
 987-997, with the labels of DYNA 1.2, in which the Turkish TADAS exports too. National Research Institute
 for Earth Science and Disaster Resilience, About K-NET ASCII format,
@@ -16,9 +16,9 @@ Data Files, sections 3 and 4, https://escweb.wr.usgs.gov/nsmp-data/smcfmt.html.
 """
 
 import re
-from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
+from pathlib import Path
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from pymc_features.io.reading.lines import (
     to_number,
     warn_of_widths,
 )
-from pymc_features.io.reading.recording import Channel, Format, Opening, Recording, even_or_times
+from pymc_features.io.reading.recording import Channel, Recording, Request, even_or_times
 
 NO_SPECTRA = "the file must hold accelerations", "spectra (V3)", "Read the V2 file."
 
@@ -206,9 +206,8 @@ def read_knet(lines: Lines) -> tuple[list[Channel], str]:
     station, time, rate, duration, direction, scale, peak = (found[label] for label in KNET)
     rate = positive(lines, to_count(rate.lower().removesuffix("hz").strip()), "the sampling frequency")
     duration = positive(lines, to_number(duration), "the duration")
-    scales = [to_number(part.strip()) for part in scale.lower().split("(gal)/")]
-    what = "the scale factor, as 3920(gal)/6182761"
-    full, scale = (positive(lines, part, what) for part in [*scales, None][:2])
+    scales, what = [*scale.lower().split("(gal)/"), ""][:2], "the scale factor, as 3920(gal)/6182761"
+    full, scale = (positive(lines, to_number(part.strip()), what) for part in scales)
     counts = lines.numbers(round(rate * duration), "values, frequency times duration", whole=True)
     gal = full / scale * (counts - counts.mean())
     direction = DIRECTIONS.get(direction, direction)
@@ -270,25 +269,6 @@ QUANTITIES = ("accel", "veloc", "displ", "rotat", "angul", "press", "strain", "s
 STEP, RAW_STEP, PEAK = 61, 33, 63  # reals: of the series [ms], of the recorder [s], signed
 
 
-def read_cosmos(lines: Lines) -> list[Channel]:
-    """All accelerations of a file, each below headers of its own."""
-    channels = []
-    while (line := lines.peek()) is not None:
-        if "(format v" not in line.lower():
-            raise lines.error("the next channel must begin with its format version", repr(line.strip()[:60]))
-        first = lines.take("a channel").lower()
-        if "spectr" in first:
-            raise lines.error(*NO_SPECTRA)
-        n_text = to_count(next(iter(first.rpartition("with")[2].split()), ""))
-        text = lines.several(positive(lines, n_text, "the number of text lines") - 1, "more lines of text")
-        _announced(lines, "integer", 8)
-        reals = _announced(lines, "real", 13)
-        _announced(lines, "comment")
-        name = " ".join(text[7].partition("(")[0].split()[2:]) if n_text > 8 else ""
-        channels += _cosmos_series(lines, name or "acceleration", np.append(reals, np.zeros(PEAK + 1)))
-    return channels
-
-
 def _counted(lines: Lines, what: str, *words: str) -> tuple[int, str]:
     """The number that begins the next line that is not blank, and the line, which has some words."""
     lines.peek()
@@ -299,40 +279,49 @@ def _counted(lines: Lines, what: str, *words: str) -> tuple[int, str]:
     return count, line
 
 
-def _announced(lines: Lines, kind: str, width: int = 0) -> np.ndarray | None:
-    """The integers or reals below the line that says how many they are; of comments that they are some."""
-    count, line = _counted(lines, f"the number of {kind} header values or lines", kind)
-    if width:
-        return lines.numbers(count, f"{kind} header values", column_width(line, width))
-    return _comments(lines, count)
-
-
 def _comments(lines: Lines, count: int) -> None:
     for _ in range(count):
         if not lines.take(f"{count} comments").lstrip().startswith("|"):
             raise lines.error("a comment must begin with |", "another line")
 
 
-def _cosmos_series(lines: Lines, name: str, reals: np.ndarray) -> Iterator[Channel]:
-    """Accelerations up to the next headers; velocities and displacements are passed over."""
-    while (line := lines.peek()) is not None and "(format v" not in line.lower():
-        if line.lstrip().lower().startswith("end-of-data"):
-            lines.take("a series")
-            continue
-        what = "the number of points, their units and quantity, as acceleration,"
-        n_times, line = _counted(lines, what, "units=")
-        if not any(word in line for word in QUANTITIES):
-            raise lines.error(f"{what} must stand here")
-        values = lines.numbers(n_times, "values", column_width(line, 10))
-        if "accel" not in line or "velocity" in line:
-            continue
-        word, _, code = line.partition("units=")[2].partition("(")
-        factor, unit = UNITS.get(to_count(code.partition(")")[0].strip()), (1.0, word.strip(" ,")))
+def read_cosmos(lines: Lines) -> list[Channel]:
+    """All accelerations of a file, each below headers of its own; other quantities are passed over."""
+    channels, reals = [], np.zeros(0)
+    while (line := lines.peek()) is not None:
+        if "(format v" not in line.lower():
+            raise lines.error("the next channel must begin with its format version", repr(line.strip()[:60]))
+        first = lines.take("a channel").lower()
+        if "spectr" in first:
+            raise lines.error(*NO_SPECTRA)
+        n_text = to_count(next(iter(first.rpartition("with")[2].split()), ""))
+        text = lines.several(positive(lines, n_text, "the number of text lines") - 1, "more lines of text")
+        for kind, width in (("integer", 8), ("real", 13)):
+            count, line = _counted(lines, f"the number of {kind} header values or lines", kind)
+            reals = lines.numbers(count, f"{kind} header values", column_width(line, width))
+        _comments(lines, _counted(lines, "the number of comment header values or lines", "comment")[0])
+        reals = np.append(reals, np.zeros(PEAK + 1))
         steps = [float(step) for step in (1e-3 * reals[STEP], reals[RAW_STEP]) if step > 0.0]
-        if steps:
-            check_duration(lines, n_times, steps[0], number_after(line, "approx"), (1.0, 0.02))
         peak = reals[PEAK] if reals[PEAK] > -999.0 else None
-        yield channel(lines, name, values, unit, peak, factor, dt=next(iter(steps), None))
+        name = " ".join(text[7].partition("(")[0].split()[2:]) if len(text) > 7 else ""
+        while (line := lines.peek()) is not None and "(format v" not in line.lower():
+            if line.lstrip().lower().startswith("end-of-data"):
+                lines.take("a series")
+                continue
+            what = "the number of points, their units and quantity, as acceleration,"
+            n_times, line = _counted(lines, what, "units=")
+            if not any(word in line for word in QUANTITIES):
+                raise lines.error(f"{what} must stand here")
+            values = lines.numbers(n_times, "values", column_width(line, 10))
+            if "accel" not in line or "velocity" in line:
+                continue
+            if steps:
+                check_duration(lines, n_times, steps[0], number_after(line, "approx"), (1.0, 0.02))
+            word, _, code = line.partition("units=")[2].partition("(")
+            factor, unit = UNITS.get(to_count(code.partition(")")[0].strip()), (1.0, word.strip(" ,")))
+            dt = steps[0] if steps else None
+            channels.append(channel(lines, name or "acceleration", values, unit, peak, factor, dt=dt))
+    return channels
 
 
 # --- CSMIP and CESMD, volumes 1 and 2, in lines of 80; film is digitised at uneven times -----------------
@@ -411,8 +400,8 @@ def read_geonet(lines: Lines) -> list[Channel]:
         step = STEP_1 if volume.startswith("uncorrected") else STEP_2
         n_times = int(integers[POINTS])
         dt = positive(lines, float(reals[step]), "the step")
-        said, words = number_after(text[9], "points"), text[10].split()
-        steps = [to_number(a) for a, b in zip(words, words[1:], strict=False) if b.lower() in ("s", "sec")]
+        said, words = number_after(text[9], "points"), pairwise(text[10].split())
+        steps = [to_number(number) for number, unit in words if unit.lower() in ("s", "sec")]
         if said != n_times or not steps or steps[0] is None or abs(steps[0] - dt) > 0.01 * dt:
             raise lines.error(
                 f"the header must state one number of points and one step, in numbers {n_times} and {dt:g} s",
@@ -459,77 +448,32 @@ def read_smc(lines: Lines) -> list[Channel]:
     return [channel(lines, name, values, "cm/s^2", peak, **spacing)]
 
 
-# --- the table: name, how the first lines begin in lower case, usual endings, what files state, reader ------
+# --- the table: name, how the first lines begin in lower case, reader -----------------------------------
 
-LAYOUTS: tuple[tuple[str, str, str, str, Callable], ...] = (
-    ("PEER AT2", r"(.*\n){0,19}(?=.*npts).*dt", ".AT2", "step, number of values, units, event", read_at2),
-    (
-        "COSMOS",
-        r"(?=.*\(format v).*text lines",
-        ".v0, .v1, .v2, .V1c, .V2c",
-        "step, units, channels, peak, format of the columns",
-        read_cosmos,
+LAYOUTS = {
+    "PEER AT2": (
+        lambda opening: opening.suffix == ".at2" or opening.begins(r"(.*\n){0,19}(?=.*npts).*dt"),
+        read_at2,
     ),
-    (
-        "CSMIP and CESMD",
+    "COSMOS": (r"(?=.*\(format v).*text lines", read_cosmos),
+    "CSMIP and CESMD": (
         rf"\s*({UNCORRECTED}|{CORRECTED}.*\n.*uncorrected accelerogram|{SPECTRA}.*\n.*{CORRECTED})",
-        ".v1, .v2, .raw",
-        "step (times, of film), units, channels, peak; V3 files hold spectra and are refused",
         read_csmip,
     ),
-    (
-        "SMC",
-        r"\d.*(accelerogram|velocity|displacement|spectr).*\n\*",
-        ".smc",
-        "step (times, of film), component, peak; cm/s^2",
-        read_smc,
-    ),
-    (
-        "GeoNet",
-        r"(un)?corrected accelerogram.*\nsite ",
-        ".V1A, .V2A",
-        "step, mm/s^2, components, peak",
-        read_geonet,
-    ),
-    (
-        "ESM and ITACA",
-        r"event_name:.*\n(.*\n)?event_id:",
-        ".ASC",
-        "step, units, component, start, peak",
-        read_esm,
-    ),
-    (
-        "K-NET and KiK-net",
-        r"origin time.*\nlat\.",
-        ".NS, .EW, .UD, .NS1, .EW1, .UD1, .NS2, .EW2, .UD2",
-        "scale, step, direction, start, peak; the mean is taken off, as for the peak in the header",
-        read_knet,
-    ),
-    ("NSMN", r"\s*strong ground motion records of turk", ".txt", "step, directions; gal", read_nsmn),
-    (
-        "UNAM",
-        r"(.*\n){0,29}.*archivo estandar de aceleracion",
-        "day and number, .191",
-        "step, units, directions, peaks",
-        read_unam,
-    ),
-)
+    "SMC": (r"\d.*(accelerogram|velocity|displacement|spectr).*\n\*", read_smc),
+    "GeoNet": (r"(un)?corrected accelerogram.*\nsite ", read_geonet),
+    "ESM and ITACA": (r"event_name:.*\n(.*\n)?event_id:", read_esm),
+    "K-NET and KiK-net": (r"origin time.*\nlat\.", read_knet),
+    "NSMN": (r"\s*strong ground motion records of turk", read_nsmn),
+    "UNAM": (r"(.*\n){0,29}.*archivo estandar de aceleracion", read_unam),
+}
 
 
-def _format(name: str, begins: str, files: str, states: str, read: Callable) -> Format:
-    def recording(path, request) -> Recording:
-        lines = Lines(path, name.partition(" and ")[0])
-        found = read(lines)
-        if lines.announced and (line := lines.peek()) is not None:
-            raise lines.error(f"nothing may follow the {lines.announced}", repr(line.strip()[:60]))
-        channels, title = found if isinstance(found, tuple) else (found, None)
-        return Recording(path.name, channels, title)
-
-    def recognises(opening: Opening) -> bool:
-        text = "\n".join(opening.lines[:30]).lower()
-        return opening.suffix == files.lower() == ".at2" or re.match(begins, text) is not None
-
-    return Format(name, recognises, files, states, recording)
-
-
-STRONG_MOTION = tuple(_format(*layout) for layout in LAYOUTS)
+def read_strong_motion(name: str, path: Path, request: Request) -> Recording:
+    """The channels of a file of one of the layouts, below which nothing may follow."""
+    lines = Lines(path, name.partition(" and ")[0])
+    found = LAYOUTS[name][1](lines)
+    if lines.announced and (line := lines.peek()) is not None:
+        raise lines.error(f"nothing may follow the {lines.announced}", repr(line.strip()[:60]))
+    channels, title = found if isinstance(found, tuple) else (found, None)
+    return Recording(path.name, channels, title)

@@ -13,7 +13,7 @@ import numpy as np
 
 from pymc_features.io.reading.labels import BRACKETS, WORD, Label, known_factor, unit_of
 from pymc_features.io.reading.lines import Lines, not_a_number, to_number
-from pymc_features.io.reading.recording import Columns, Format, Recording, Request, clock_column, recording_of
+from pymc_features.io.reading.recording import Columns, Recording, Request, clock_column, recording_of
 
 COMMENTS = ("#", "%", "//")
 SEPARATORS = ("\t", ";", "|", ",", " ")
@@ -461,12 +461,3 @@ def _of_day(match: re.Match) -> float:
     if (zone := (zone or "Z").strip()) not in ("Z", "UTC", "GMT"):
         seconds -= (60 * int(zone[1:3]) + int(zone[-2:])) * (60 if zone[0] == "+" else -60)
     return seconds + float((fraction or "0").replace(",", "."))
-
-
-TEXT = Format(
-    "text",
-    lambda opening: True,
-    "any other",
-    "names and units of a header, step of a column of times; pass what is missing",
-    read_text,
-)

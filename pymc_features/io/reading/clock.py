@@ -27,15 +27,6 @@ class Clock(NamedTuple):
         return self.start + (self.n_times - 1) * self.dt
 
 
-class Window(NamedTuple):
-    """Samples that several clocks have in common."""
-
-    dt: float  # [s]
-    start: float  # reading of the clocks at the first common sample [s], 0 without clocks
-    n_times: int
-    first: tuple[int, ...]  # first common sample of every channel
-
-
 def even_clock(
     times: np.ndarray,
     where: Callable[[int], str],
@@ -103,8 +94,8 @@ def at_samples(values: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     return whole
 
 
-def common_window(clocks: list[Clock]) -> Window:
-    """The samples that all clocks have, aligned to whole samples."""
+def aligned(rows: list[np.ndarray], clocks: list[Clock]) -> tuple[np.ndarray, float, float]:
+    """Values (sensor, time) that all clocks have, by whole samples; step and start [s], 0 without clocks."""
     first = clocks[0]
     for clock in clocks[1:]:
         n = min(first.n_times, clock.n_times)
@@ -120,7 +111,7 @@ def common_window(clocks: list[Clock]) -> Window:
                 f"Sensors without clocks must have the same number of samples, got {sizes}. Cut them to the "
                 "same window first."
             )
-        return Window(first.dt, 0.0, first.n_times, (0,) * len(clocks))
+        return np.array(rows), first.dt, 0.0
     dt = float(f"{np.mean([clock.dt for clock in clocks]):.10g}")
     latest = max(clock.start for clock in clocks)
     steps = int(np.rint((latest - first.start) / dt))  # of the first clock, to which the others are aligned
@@ -144,7 +135,7 @@ def common_window(clocks: list[Clock]) -> Window:
                 "sensors have in common. Check for a file that starts late or ends early.",
                 ChannelWarning,
             )
-    return Window(dt, start, n_times, tuple(int(k) for k in skipped))
+    return np.array([row[k : k + n_times] for row, k in zip(rows, skipped, strict=True)]), dt, start
 
 
 def no_common_time(clocks: list[Clock]) -> ValueError:

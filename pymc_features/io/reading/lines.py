@@ -134,7 +134,7 @@ class Lines:
     def numbers(
         self, count: int, what: str, width: int = 0, *, whole: bool = False, per_line: int = 0
     ) -> np.ndarray:
-        """Numbers (count,) from as many lines as it takes: between blanks, or in columns of `width` characters.
+        """Numbers (count,) from as many lines as it takes, between blanks or in columns of some characters.
 
         In columns neighbours may touch, as Fortran writes them; only the last line may be shorter than the
         first. `whole`: the numbers are counts.

@@ -3,6 +3,7 @@
 Every reader makes a `Recording`; which of its channels, in which units and on which clock is decided here.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -33,16 +34,24 @@ FEWEST = 10  # values among which one can be told
 class Request(NamedTuple):
     """What the caller says about every file; None leaves it to the file."""
 
-    columns: list | None = None
-    units: str | float | None = None
     dt: float | None = None
     clock: str | int | bool | None = None  # False: no clock
     clock_units: float | None = None  # [s] per count
     skip: int = 0
     wrapped: bool | None = None  # whether one series runs along the lines of a text file
     gaps: bool = False  # whether samples may be missing: NaN, empty cells, rows that a clock passes over
+    columns: list | None = None
+    units: str | float | None = None
     quantity: str = "acceleration"
     sensitivity: str | float | None = None
+    scale: float = 1.0
+    delay: float | None = None  # how late it comes [s]
+    anchors: list | None = None  # two pairs of a reading of the clock and the true time [s]
+
+    @property
+    def of_file(self) -> tuple:
+        """What makes a difference to how the file is read."""
+        return self[: self._fields.index("columns")]
 
 
 @dataclass(frozen=True)
@@ -63,6 +72,13 @@ class Opening:
         """The first lines, without blanks at their ends; none if the file is no text."""
         text = decoded(self.head)
         return [] if "\0" in text else [line.rstrip() for line in text.split("\n")]
+
+    def begins(self, how: "bytes | str | Callable[[Opening], bool]") -> bool:
+        """Whether it begins as a pattern of bytes says, one of its lines in lower case, or a function."""
+        if callable(how):
+            return how(self)
+        text = self.head if isinstance(how, bytes) else "\n".join(self.lines[:30]).lower()
+        return re.match(how, text) is not None
 
 
 class Channel(NamedTuple):
@@ -92,12 +108,12 @@ class Recording(NamedTuple):
 
 
 class Format(NamedTuple):
-    """A kind of files: what it is called, how it is recognised, what it states, how it is read."""
+    """A kind of files."""
 
-    name: str  # in messages and in the table of formats
-    recognises: Callable[[Opening], bool]
-    files: str  # usual endings of file names, for the table of formats
-    states: str  # what its files say themselves, for the table of formats
+    name: str
+    files: str  # usual endings of file names
+    states: str  # what its files say themselves
+    begins: bytes | str | Callable[[Opening], bool]  # see `Opening`
     read: Callable[[Path, Request], Recording]  # its errors have the name of the file
 
 
