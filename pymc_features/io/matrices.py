@@ -56,7 +56,7 @@ class Matrices(dict):
 def read_mtx(path: Path) -> Matrices:
     """A matrix of Matrix Market or of Abaqus, which have the same ending."""
     lines = Lines(path)
-    if not lines.text.lstrip().lower().startswith("%%matrixmarket"):
+    if not lines.raw.lstrip().lower().startswith(b"%%matrixmarket"):
         return _abaqus(path, lines)
     *shape, n_entries, layout, field, symmetry = mminfo(path)
     if field == "complex":

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.io.reading.labels import BRACKETS, WORD, Label, known_factor, unit_of
-from pymc_features.io.reading.lines import Lines, not_a_number, to_number
+from pymc_features.io.reading.lines import Lines, finite, not_a_number, to_number
 from pymc_features.io.reading.recording import Columns, Recording, Request, clock_column, recording_of
 
 COMMENTS = ("#", "%", "//")
@@ -23,7 +23,7 @@ NO_UNIT = {"", "-", "[]", "TS", "RN"}  # in a row of units; the last two in tabl
 MISSING = ("", "nan", "+nan", "-nan")  # cells of a gap, in lower case
 MOST_HEADER_LINES = 10_000
 FEW = 200_000  # characters that are read cell by cell before pandas is imported
-SAMPLED = 200  # lines whose printed digits say how fine a column is
+SAMPLED = 200  # lines of usual length, at both ends, whose printed digits say how fine a column is
 ENDS = 12  # lines that tell whether the last one is whole
 DATES = ["%Y-%m-%d", "%d.%m.%Y", "%d-%b-%Y", "%d.%m.%y", "%d/%m/%Y"]
 DATES += ["%m/%d/%Y", "%Y/%m/%d", "%Y.%m.%d", "%d-%m-%Y", "%m-%d-%Y"]
@@ -115,12 +115,19 @@ def read_columns(path: Path, request: Request) -> Columns:
         lines.raw = COMPACT.sub(rb"\1-\2-\3T\4:\5:\6", lines.raw)
     header, first, layout = _header(lines)
     _refuse_spoilt_first(path.name, header, first, layout)
-    start = lines.at(first)
-    _refuse_cut_last(lines, start, layout)
+    start = sum(map(len, islice(BytesIO(lines.raw), first - 1)))
+    places = (start, start + 80 * SAMPLED), (max(start, len(lines.raw) - 80 * SAMPLED), None)
+    top, bottom = (lines.raw[slice(*place)].decode(errors="ignore").split("\n") for place in places)
+    decimals = [len(layout.cells(row)[-1].partition(".")[2]) for row in bottom[-ENDS:] if row.strip()]
+    if bottom[-1] and len(decimals) == ENDS and len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]:
+        raise ValueError(
+            f"{path.name}: the last line must be whole, it ends in {bottom[-1][-12:]!r} with fewer decimals "
+            "than the lines above it. Fetch the file again, or cut the line."
+        )
     found = None
     if len(lines.raw) > FEW and not request.wrapped:
         with suppress(ValueError, OverflowError):  # of a row that is not as the first
-            found = _by_pandas(lines, start, layout)
+            found = _by_pandas(lines, start, top[0].rstrip(), layout)
     origin, values = found or _cell_by_cell(lines, first, layout, request)
     labels, own, unit = _labels(header, layout)
     rows_in_line = 1.0
@@ -130,21 +137,20 @@ def read_columns(path: Path, request: Request) -> Columns:
         values = values.reshape(-1, 2) if paired else values[:, None]
         rows_in_line = layout.count / values.shape[1]
         labels, own = [Label("", "")] * values.shape[1], False
-    if values.shape[0] - request.skip < 2:
-        raise ValueError(
-            f"{path.name} must hold at least 2 samples, got {max(values.shape[0] - request.skip, 0)}."
-        )
+    values = values[request.skip :]
+    if len(values) < 2:
+        raise ValueError(f"{path.name} must hold at least 2 samples, got {len(values)}.")
 
     def where(row: int, column: int) -> str:
-        wanted = int((row + request.skip) / rows_in_line)
-        number = next(n for k, (n, _) in enumerate(_rows(lines, first)) if k == wanted)
-        return f"{path.name}, line {number}"
+        line = int((row + request.skip) / rows_in_line)
+        return f"{path.name}, line {next(islice(_rows(lines, first), line, None))[0]}"
 
     def resolution(index: int) -> float:
-        return _resolution(lines, start, layout, index, np.abs(values[:, index]).max())
+        rows = [*top[:-1], *bottom[1:]] or top
+        return _resolution(rows, layout, index, np.abs(values[:, index]).max())
 
     stamp = layout.stamp[0] if layout.stamp else None
-    return Columns(path.name, labels, values[request.skip :], where, resolution, own, stamp, origin, unit)
+    return Columns(path.name, labels, values, where, resolution, own, stamp, origin, unit)
 
 
 def read_text(path: Path, request: Request) -> Recording:
@@ -265,17 +271,6 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
         below_labels |= len(cells) == layout.n_columns and not numbers
 
 
-def _refuse_cut_last(lines: Lines, start: int, layout: Layout) -> None:
-    """Refuse a file that ends within a line, whose last number has fewer decimals than those above it."""
-    rows = lines.part(max(start, len(lines.raw) - 80 * SAMPLED)).split("\n")[-ENDS:]
-    decimals = [len(layout.cells(row)[-1].partition(".")[2]) for row in rows if row.strip()]
-    if rows[-1] and len(decimals) == ENDS and len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]:
-        raise ValueError(
-            f"{lines.file}: the last line must be whole, it ends in {rows[-1][-12:]!r} with fewer decimals "
-            "than the lines above it. Fetch the file again, or cut the line."
-        )
-
-
 def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[Label], bool, str | None]:
     """What stands above each column, whether it is more than a title, and the unit of all without labels."""
     named = [cells for _, line, _ in header if (cells := _named(line, layout))]
@@ -296,16 +291,16 @@ def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[L
         next((cells[k].strip("[]()") for cells in units if cells[k] not in NO_UNIT), None)
         for k in range(layout.n_columns)
     ]
-    told = [sum(Label.of(text).role is not None for text in cells) for cells in texts]
-    chosen = texts[max(range(len(texts)), key=lambda k: (told[k], k))]
-    labels = [Label.of(text, unit) for text, unit in zip(chosen, stated, strict=True)]
-    for above in reversed(texts):  # a unit may stand in another line
+    rows = [[Label.of(text) for text in cells] for cells in texts]
+    chosen = max(range(len(rows)), key=lambda k: (sum(label.role is not None for label in rows[k]), k))
+    labels = [Label.of(text, unit) for text, unit in zip(texts[chosen], stated, strict=True)]
+    for above in reversed(rows):  # a unit may stand in another line
         labels = [
-            label if label.unit is not None else label._replace(unit=Label.of(text).unit)
-            for label, text in zip(labels, above, strict=True)
+            label if label.unit is not None else label._replace(unit=other.unit)
+            for label, other in zip(labels, above, strict=True)
         ]
     told = any(label.unit is not None or label.role is not None for label in labels)
-    is_title = all(comment for _, line, comment in header if _named(line, layout) == chosen)
+    is_title = all(comment for _, line, comment in header if _named(line, layout) == texts[chosen])
     own = any(label.unit is not None for label in labels) or (
         layout.separator != " " and (told or not is_title)
     )
@@ -330,13 +325,12 @@ def _rows(lines: Lines, first: int):
     return ((number, line) for number, line in lines if number >= first and not line.startswith(COMMENTS))
 
 
-def _by_pandas(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndarray]:
+def _by_pandas(lines: Lines, start: int, first: str, layout: Layout) -> tuple[float, np.ndarray]:
     """Origin of the stamps and rows (row, column), all written as the first."""
     import pandas as pd  # half a second to import
 
     old = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
     kinds = {k: str if k in layout.stamp else np.float64 for k in range(layout.count)}
-    first = lines.part(start, start + FEW).partition("\n")[0].rstrip()
     plain = not layout.stamp and not first.endswith(layout.separator)  # no column of texts, nor an empty one
     stream = BytesIO(lines.raw)  # which is not copied
     stream.seek(start)
@@ -352,12 +346,11 @@ def _by_pandas(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndar
     )
     while frame.shape[1] > layout.count and layout.separator != " " and (frame.iloc[:, -1] == "").all():
         frame = frame.iloc[:, :-1]  # a separator at the end of each row
-    origin, texts = 0.0, frame.iloc[:, list(layout.stamp)]
+    origin = 0.0
     if layout.stamp:
-        joint = "," if layout.separator == "," and texts.iloc[0, -1].isdigit() else " "
-        stamps = [joint.join(row) for row in zip(*(texts[k] for k in texts), strict=True)]
-        origin, seconds = seconds_of(stamps, lines.file)
-        frame = frame.drop(columns=list(layout.stamp))
+        texts = [frame.pop(k) for k in layout.stamp]
+        joint = "," if layout.separator == "," and texts[-1][0].isdigit() else " "
+        origin, seconds = seconds_of([joint.join(row) for row in zip(*texts, strict=True)], lines.file)
         frame.insert(layout.stamp[0], "seconds", seconds)
     values = np.array([frame[k] for k in frame], dtype=np.float64).T  # columns whole
     if values.shape[1] != layout.n_columns or not np.isfinite(values).all():
@@ -377,7 +370,7 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
             cells += [""] * (layout.n_columns - len(cells))
         elif short is not None:
             raise ValueError(
-                f"{lines.file}, line {number}: only the last line of wrapped values may be shorter than the "
+                f"{where}: only the last line of wrapped values may be shorter than the "
                 f"first, which has {layout.n_columns}. Complete the line before this one."
             )
         for k, cell in enumerate(cells):
@@ -386,10 +379,8 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
                 values.append(0.0)
             elif (request.gaps or number == short) and cell.lower() in MISSING:
                 values.append(np.nan)
-            elif (value := to_number(cell)) is None or not -np.inf < value < np.inf:
-                raise not_a_number(where, cell)
             else:
-                values.append(value)
+                values.append(finite(cell, where))
         if len(cells) != layout.n_columns:
             raise ValueError(
                 f"{where}: rows must have {layout.n_columns} values like the first, got {len(cells)}. "
@@ -402,14 +393,11 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
     return origin, found
 
 
-def _resolution(lines: Lines, start: int, layout: Layout, index: int, largest: float) -> float:
-    """Resolution of a printed column, from decimals and significant digits of its first and last cells."""
-    last = max(start, len(lines.raw) - 80 * SAMPLED)
-    some = [*lines.part(start, start + 80 * SAMPLED).split("\n")[:-1], *lines.part(last).split("\n")[1:]]
-    some = some or [lines.part(start)]
+def _resolution(rows: list[str], layout: Layout, index: int, largest: float) -> float:
+    """Resolution of a printed column, from decimals and significant digits of some of its cells."""
     least, digits = 0, 1
-    for line in some:
-        cells = layout.cells(line.strip())
+    for row in rows:
+        cells = layout.cells(row.strip())
         cell = cells[index] if index < len(cells) else "0"
         if layout.stamp and index == layout.stamp[0]:
             stamp = STAMP.fullmatch(cell)

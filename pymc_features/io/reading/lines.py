@@ -27,14 +27,6 @@ SAMPLE = 400  # bytes that tell the encoding
 RARE, FEWEST_LINES = 0.02, 8  # of lines of another width than the others, and how many tell the width
 
 
-def _utf_16(raw: bytes) -> str | None:
-    """The codec of a text in UTF-16, by its mark, or by the zeros in every other byte; None of another."""
-    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    ways = ("utf-16-be", raw[:SAMPLE:2], raw[1:SAMPLE:2]), ("utf-16-le", raw[1:SAMPLE:2], raw[:SAMPLE:2])
-    return next((name for name, high, low in ways if len(high) > 1 and not any(high) and all(low)), None)
-
-
 def most_bytes(path: Path) -> int:
     """What the arrays of a file may take: twenty times its size, and 64 MiB of small ones."""
     return max(TIMES * path.stat().st_size, ALWAYS)
@@ -50,15 +42,21 @@ def check_size(path: Path, n_bytes: Iterable[int]) -> None:
 
 
 def decoded(raw: bytes) -> str:
-    """Text of a file in UTF-8, UTF-16 or Latin-1 with any line ends (LF, CR LF, CR CR LF, CR)."""
-    try:
-        name = _utf_16(raw)
-        text = raw.decode(name, errors="replace") if name else raw.removeprefix(codecs.BOM_UTF8).decode()
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    if "\r" in text:
-        text = text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
-    return text
+    """Text of a file in UTF-8, UTF-16 or Latin-1 with any line ends (LF, CR LF, CR CR LF, CR).
+
+    UTF-16 is known by its mark, or by zeros in every other byte.
+    """
+    even, odd = raw[:SAMPLE:2], raw[1:SAMPLE:2]
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        text = raw.decode("utf-16", errors="replace")
+    elif len(odd) > 1 and any(even) != any(odd) and (all(even) or all(odd)):
+        text = raw.decode("utf-16-le" if any(even) else "utf-16-be", errors="replace")
+    else:
+        try:
+            text = raw.removeprefix(codecs.BOM_UTF8).decode()
+        except UnicodeDecodeError:
+            text = raw.decode("latin-1")
+    return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
 class Lines:
@@ -66,33 +64,19 @@ class Lines:
 
     def __init__(self, path: Path, format_name: str = ""):
         raw = path.read_bytes()
-        zeros = b"\0" in raw
-        if zeros and not _utf_16(raw):
+        plain = raw.isascii() and b"\r" not in raw and b"\0" not in raw
+        self.raw = raw if plain else decoded(raw).encode(errors="replace")  # UTF-8 with line feeds
+        if b"\0" in self.raw:
             raise ValueError(f"{path.name} must be a text file, it holds binary data. Export it as CSV.")
         self.file, self.stem = path.name, path.stem
         self.title = f"{path.name} ({format_name})" if format_name else path.name
         self.number, self.last = 0, ""  # of the line that was taken last, and what it says
         self.announced = ""  # which numbers were read last
-        plain = not zeros and raw.isascii() and b"\r" not in raw
-        self.raw = raw if plain else decoded(raw).encode(errors="replace")  # UTF-8 with line feeds
-
-    @property
-    def text(self) -> str:
-        """All of it."""
-        return self.raw.decode()
-
-    def part(self, start: int, stop: int | None = None) -> str:
-        """The text from one place to another, in bytes."""
-        return self.raw[start:stop].decode(errors="ignore")
-
-    def at(self, number: int) -> int:
-        """The place of a line in the text."""
-        return sum(map(len, islice(BytesIO(self.raw), number - 1)))
 
     @cached_property
     def whole(self) -> list[str]:
         """All lines, as they are."""
-        return self.text.removesuffix("\n").split("\n")
+        return self.raw.decode().removesuffix("\n").split("\n")
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
         """Number, from 1, and text of every line that is not blank, without blanks around it."""
