@@ -60,21 +60,26 @@ def read_mtx(path: Path) -> Matrices:
         return _abaqus(path, lines)
     *shape, n_entries, layout, field, symmetry = mminfo(path)
     if field == "complex":
-        return Matrices({path.stem: np.empty((1, 1), dtype=complex)})
+        return _single(path, np.empty((1, 1), dtype=complex))
     square, sign = shape[0] == shape[1], SIGNS.get(symmetry)
     if field not in ("real", "double", "integer") or sign is None or min(shape) < 1 or (sign and not square):
         what = f"{field} {symmetry}, {shape[0]} x {shape[1]}"
         raise lines.error("the matrix must be real, and general, symmetric or skew-symmetric", what)
     lines.number = next(number for number, line in lines if not line.startswith("%"))  # that of the size
-    body = _numbers(lines, 3 if layout == "coordinate" else 1)  # of 1.5x SciPy would take the beginning
-    if layout == "array":
+    coordinate = layout == "coordinate"
+    body = _numbers(lines, 3 if coordinate else 1)  # of 1.5x SciPy would take the beginning
+    if not coordinate:
         check_size(path, [8 * shape[0] * shape[1]])
         # of symmetric ones the columns from the diagonal on stand one below the other, of skew ones below it
         n_entries = (shape[0] * (shape[0] + int(sign))) // 2 if sign else shape[0] * shape[1]
     if len(body) != n_entries:
         raise lines.error(f"the file must hold the {n_entries} entries that it announces", len(body))
-    coordinate = layout == "coordinate"
-    return Matrices({path.stem: _assembled(path, body, tuple(shape), sign) if coordinate else mmread(path)})
+    return _single(path, _assembled(path, body, shape, sign) if coordinate else mmread(path))
+
+
+def _single(path: Path, matrix, labels: list[str] | None = None) -> Matrices:
+    """A matrix called as its file."""
+    return Matrices({path.stem: matrix}, {path.stem: labels} if labels else {})
 
 
 def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
@@ -93,11 +98,17 @@ def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
         raise ValueError(f"{lines.title} must hold {what}. Export it again.") from None
 
 
-def _assembled(path: Path, entries: np.ndarray, shape: tuple[int, int], sign: float):
-    """The matrix of rows, columns (from 1) and values (entry, 3); `sign` of the half that is not stored."""
+def _assembled(path: Path, entries: np.ndarray, shape=None, sign: float | None = None):
+    """The matrix of rows, columns (from 1) and values (entry, 3); `sign` of the half that is not stored.
+
+    By default it is square, and symmetric if the entries are in one half.
+    """
+    places = entries[:, :2]
+    shape = (int(places.max(initial=0)),) * 2 if shape is None else shape
+    both = (places[:, 0] > places[:, 1]).any() and (places[:, 0] < places[:, 1]).any()
+    sign = float(not both) if sign is None else sign
     if max(shape) > max(path.stat().st_size, MOST_ROWS):
         check_size(path, [8 * size for size in shape])
-    places = entries[:, :2]
     wrong = ((places != np.rint(places)) | (places < 1) | (places > shape)).any(axis=1)
     if wrong.any():
         what = f"from 1 to {shape[0]} and {shape[1]}, got {places[wrong][0].tolist()}"
@@ -105,7 +116,7 @@ def _assembled(path: Path, entries: np.ndarray, shape: tuple[int, int], sign: fl
     rows, columns = (places - 1).astype(np.int64).T
     values, off = entries[:, 2], rows != columns
     problem = ""
-    if sign and (rows > columns).any() and (rows < columns).any():
+    if sign and both:
         problem = "a symmetric matrix must be stored by one half, got entries in both. Call it general"
     elif sign < 0.0 and not off.all():
         problem = "a skew-symmetric matrix must have no diagonal, got entries there. Correct it"
@@ -116,27 +127,18 @@ def _assembled(path: Path, entries: np.ndarray, shape: tuple[int, int], sign: fl
     if sign:
         rows, columns = np.r_[rows, columns[off]], np.r_[columns, rows[off]]
         values = np.r_[values, sign * values[off]]
-    return sparse.coo_array((values, (rows, columns)), shape=shape)
-
-
-def _square(path: Path, entries: np.ndarray, size: int | None = None):
-    """A square matrix of which one half is stored, or both."""
-    rows, columns = entries[:, 0], entries[:, 1]
-    both = bool((rows > columns).any() and (rows < columns).any())
-    size = int(entries[:, :2].max(initial=0)) if size is None else size
-    return _assembled(path, entries, (size, size), 0.0 if both else 1.0)
+    return sparse.coo_array((values, (rows, columns)), shape=tuple(shape))
 
 
 def _abaqus(path: Path, lines: Lines) -> Matrices:
     """*MATRIX OUTPUT: lines of node, direction, node, direction and value, or of row, column and value."""
     entries = _numbers(lines)
     if entries.shape[1] == 3:
-        return Matrices({path.stem: _square(path, entries)})
+        return _single(path, _assembled(path, entries))
     pairs = np.vstack([entries[:, :2], entries[:, 2:4]])
     freedoms, numbers = np.unique(pairs.astype(np.int64), axis=0, return_inverse=True)
-    places = numbers.reshape(2, -1).T + 1.0
-    matrix = _square(path, np.column_stack([places, entries[:, 4]]), len(freedoms))
-    return Matrices({path.stem: matrix}, {path.stem: [_label(node, axis) for node, axis in freedoms]})
+    entries = np.column_stack([numbers.reshape(2, -1).T + 1.0, entries[:, 4]])
+    return _single(path, _assembled(path, entries, (len(freedoms),) * 2), [_label(*one) for one in freedoms])
 
 
 def _label(node, direction) -> str:
@@ -147,13 +149,12 @@ def _label(node, direction) -> str:
 
 def read_calculix(path: Path) -> Matrices:
     """Stiffness (.sti) or mass (.mas): row, column, value; degrees of freedom in the .dof beside it."""
-    entries = _numbers(Lines(path), 3)
-    beside = path.with_suffix(".dof")
+    entries, beside = _numbers(Lines(path), 3), path.with_suffix(".dof")
     if not beside.exists():
-        return Matrices({path.stem: _square(path, entries)})
+        return _single(path, _assembled(path, entries))
     pairs = [line.split()[0].partition(".") for _, line in Lines(beside)]
     labels = [_label(to_count(node) or 0, to_count(axis) or 0) for node, _, axis in pairs]
-    return Matrices({path.stem: _square(path, entries, len(labels))}, {path.stem: labels})
+    return _single(path, _assembled(path, entries, (len(labels),) * 2), labels)
 
 
 def read_harwell_boeing(path: Path) -> Matrices:
@@ -179,14 +180,14 @@ def read_harwell_boeing(path: Path) -> Matrices:
     if starts[0] != 1 or (np.diff(starts) < 0).any() or starts[-1] != n_entries + 1:
         raise lines.error("the first entries of the columns must rise to the last", starts[-1])
     columns = np.repeat(np.arange(1, n_columns + 1), np.diff(starts).astype(np.int64))
-    sign = 1.0 if kind == "RSA" else 0.0
-    matrix = _assembled(path, np.column_stack([rows, columns, values]), (n_rows, n_columns), sign)
+    entries = np.column_stack([rows, columns, values])
+    matrix = _assembled(path, entries, (n_rows, n_columns), float(kind == "RSA"))
     beside = path.with_suffix(".mapping")  # lines of equation, node and name, UX or ROTZ
     if not beside.exists():
-        return Matrices({path.stem: matrix})
-    listed_ = [line.split() for _, line in Lines(beside)]
-    named = {int(row[0]): f"{row[1]}:{ANSYS[row[2]]}" for row in listed_ if row[2:3] and row[2] in ANSYS}
-    return Matrices({path.stem: matrix}, {path.stem: [named.get(k, str(k)) for k in range(1, n_rows + 1)]})
+        return _single(path, matrix)
+    words = [line.split() for _, line in Lines(beside)]
+    names = {int(row[0]): f"{row[1]}:{ANSYS[row[2]]}" for row in words if row[2:3] and row[2] in ANSYS}
+    return _single(path, matrix, [names.get(k, str(k)) for k in range(1, n_rows + 1)])
 
 
 def read_nastran(path: Path) -> Matrices:
@@ -284,7 +285,7 @@ def _read_table(path: Path) -> Matrices:
     columns = read_columns(path, Request(wrapped=False))
     labels = [label.text for label in columns.labels]
     square = columns.values.shape[0] == columns.values.shape[1]
-    return Matrices({path.stem: columns.values}, {path.stem: labels} if square and all(labels) else {})
+    return _single(path, columns.values, labels if square and all(labels) else None)
 
 
 def _read_npz(path: Path) -> Matrices:
@@ -300,7 +301,7 @@ def _read_npz(path: Path) -> Matrices:
         matrix.check_format(full_check=True)  # SciPy converts a damaged one to another matrix
     matrix = sparse.csc_array(matrix)
     matrix.check_format()
-    return Matrices({path.stem: matrix})
+    return _single(path, matrix)
 
 
 READERS = {

@@ -133,11 +133,10 @@ def _compressed(n_rows: int, starts: np.ndarray, rows: np.ndarray, data: np.ndar
     """A sparse matrix of compressed columns, all of whose entries are in it."""
     from scipy import sparse
 
-    n_entries = int(starts[-1])
-    given = rows[:n_entries], starts
-    places = [x.astype(np.int64) for x in given]
-    if any((x != whole).any() for x, whole in zip(given, places, strict=True)):
+    rows, n_entries = rows[: int(starts[-1])], int(starts[-1])
+    if (rows % 1 != 0).any() or (starts % 1 != 0).any():
         raise ValueError("places in a sparse matrix must be whole numbers")
+    places = rows.astype(np.int64), starts.astype(np.int64)
     matrix = sparse.csc_array((data[:n_entries], *places), shape=(int(n_rows), starts.size - 1))
     matrix.check_format()
     return matrix
@@ -221,15 +220,13 @@ def read_matlab(path: Path, request: Request) -> Recording:
     channels = []
     for (inside, n_times), arrays in groups.items():
         whole = {name: array for name, array in arrays.items() if array.shape != (n_times, n_times)}
-        for name in arrays.keys() - whole.keys():
-            shape = f"shape {(n_times, n_times)}. Save vectors."
-            problem = f"{file}, `{name}`: time must be the longer side of a matrix, got {shape}"
-            channels.append(Channel(name, np.zeros(0), problem=problem))
+        problem = f"time must be the longer side of a matrix, got shape {(n_times, n_times)}. Save vectors."
+        squares = [name for name in arrays if name not in whole]
+        channels += [Channel(name, np.zeros(0), problem=f"{file}, `{name}`: {problem}") for name in squares]
         if whole and n_times - request.skip >= 2:
             facts = {name: value for name, value in variables.items() if _inside(name) in (inside, "")}
-            columns = _columns(file, whole, n_times, request)._replace(
-                units=_stated_units(facts, inside, file), dt=_stated_step(facts, inside, file, request.dt)
-            )
+            units, dt = _stated(facts, inside, file, request.dt)
+            columns = _columns(file, whole, n_times, request)._replace(units=units, dt=dt)
             names = [text for label in columns.labels for text in (label.text, label.name)]
             known = request.clock in names or request.clock is False
             clock = request.clock if known or len(groups) == 1 else None
@@ -260,39 +257,29 @@ def _columns(file: str, arrays: dict[str, np.ndarray], n_times: int, request: Re
         rows += list(histories)
     values = np.array(rows).T[request.skip :]
     eps = max((np.finfo(a.dtype).eps for a in arrays.values() if a.dtype.kind == "f"), default=0.0)
-    return Columns(
-        file,
-        labels,
-        values,
-        lambda row, column: f"{file}, `{labels[column].text}`, sample {row + request.skip}",
-        lambda column: 4.0 * float(eps) * np.abs(values[:, column]).max(),
-        own=next(iter(arrays.values())).ndim == 1,
-    )
+    own = next(iter(arrays.values())).ndim == 1
+
+    def where(row: int, column: int) -> str:
+        return f"{file}, `{labels[column].text}`, sample {row + request.skip}"
+
+    def resolution(column: int) -> float:
+        return 4.0 * float(eps) * np.abs(values[:, column]).max()
+
+    return Columns(file, labels, values, where, resolution, own)
 
 
-def _stated_units(facts: Mapping, inside: str, file: str) -> str | None:
-    """The text in the variable `units` of a structure, or else of the file."""
-    texts = {
-        _inside(name): str(value.item()).strip()
-        for name, value in facts.items()
-        if name.lower().rpartition(".")[2] in ("units", "unit")
-        and value.dtype.kind == "U"
-        and value.size == 1
-    }
-    if len(set(texts.values())) > 1:
-        said = listed(sorted(texts.values()))
-        raise ValueError(f"{file} contradicts itself, it states the units {said}. Correct it.")
-    return texts.get(inside, texts.get(""))
-
-
-def _stated_step(facts: Mapping, inside: str, file: str, dt: float | None) -> float | None:
-    """The step [s] that numbers and texts such as "100 Hz" state in a structure, or else in the file."""
-    steps = {}
+def _stated(facts: Mapping, inside: str, file: str, dt: float | None) -> tuple[str | None, float | None]:
+    """Units and step [s] that a structure, or else the file, states in texts and numbers such as "100 Hz"."""
+    units, steps = set(), {}
     for name, value in facts.items():
         key = re.sub("[_ ]", "", name.lower().rpartition(".")[2])
-        if key not in SCALARS or value.size != 1:
+        if value.size != 1 or key not in (*SCALARS, "units", "unit"):
             continue
-        number, unit = value.item(), Unit(*SCALARS[key])
+        number = value.item()
+        if key not in SCALARS:
+            units |= {number.strip()} if isinstance(number, str) else set()
+            continue
+        unit = Unit(*SCALARS[key])
         if isinstance(number, str):
             text, _, word = number.strip().partition(" ")
             number, unit = to_number(text), unit_of(word) if word else unit
@@ -304,9 +291,13 @@ def _stated_step(facts: Mapping, inside: str, file: str, dt: float | None) -> fl
         if number > 0.0:
             in_si = float(number) * unit.factor
             steps[name] = in_si if unit.quantity == "time" else 1.0 / in_si
+    if len(units) > 1:
+        raise ValueError(
+            f"{file} contradicts itself, it states the units {listed(sorted(units))}. Correct it."
+        )
     steps = {name: step for name, step in steps.items() if _inside(name) == inside} or steps
     first = next(iter(steps.values()), None)
     if dt is None and not all(np.isclose(step, first, rtol=1e-3, atol=0.0) for step in steps.values()):
         said = listed([f"{name}: {step:g} s" for name, step in steps.items()])
         raise ValueError(f"`dt` must be given, {file} contradicts itself ({said}).")
-    return first
+    return next(iter(units), None), first

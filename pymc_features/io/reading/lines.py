@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from io import BytesIO
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
