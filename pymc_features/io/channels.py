@@ -12,7 +12,6 @@ from pymc_features._checks import (
     SAMPLING_INTERVAL,
     as_list,
     check_choice,
-    check_file,
     check_finite,
     check_flag,
     check_integer,
@@ -27,11 +26,11 @@ from pymc_features._checks import (
     single,
     step_or_rate,
 )
-from pymc_features.io.formats import read_file
-from pymc_features.io.formats.libraries import is_source, recording_in
+from pymc_features.io.formats import read_source
+from pymc_features.io.formats.libraries import is_source
 from pymc_features.io.reading.clock import Clock, aligned, no_common_time, without_clocks
 from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
-from pymc_features.io.reading.recording import Recording, Request, chosen, in_si
+from pymc_features.io.reading.recording import Request, chosen, in_si
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -216,13 +215,6 @@ def checked(asked: Request) -> Request:
     )
 
 
-def recording_from(source, request: Request, name: str = "files") -> Recording:
-    """The channels of a file, or of what is in memory already."""
-    if is_source(source):
-        return recording_in(source, request)
-    return read_file(check_file(source, name), request)
-
-
 def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     """The channels of all files on their common clock, or band-limited at a rate [Hz]."""
     import xarray as xr  # a second to import
@@ -235,7 +227,7 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     kept, names, rows, clocks, quantities, delays = {}, [], [], [], [], []
     for label, source, own in _sensors(files, columns, request, bool(resample)):
         key = id(source) if is_source(source) else str(source), own.of_file
-        recording = kept[key] = kept.get(key) or recording_from(source, own)
+        recording = kept[key] = kept.get(key) or read_source(source, own)
         found = chosen(recording, own.columns)
         names.append((label, [channel.name for channel in found]))
         histories = [in_si(channel, own, recording) for channel in found]

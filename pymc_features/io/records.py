@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pymc_features._checks import as_list, message, shown, step_or_rate, warn_caller
-from pymc_features.io.channels import check_column, checked, recording_from
+from pymc_features.io.channels import check_column, checked
+from pymc_features.io.formats import read_source
 from pymc_features.io.reading.labels import G, role_of, unit_of
-from pymc_features.io.reading.recording import Channel, Recording, Request, chosen, in_si, named
+from pymc_features.io.reading.recording import Recording, Request, chosen, in_si, named
 from pymc_features.records import CyclicTest, Record
 
 if TYPE_CHECKING:
@@ -92,14 +93,14 @@ def read_record(
     """
     request = checked(Request(units=units, dt=step_or_rate(dt, fs), wrapped=wrapped))
     columns = None if column is None else [check_column(column, "column")]
-    recording = recording_from(path, request, "path")
-    found = chosen(recording, columns, "column")
-    if len(found) > 1:
+    recording = read_source(path, request, "path")
+    channel, *others = chosen(recording, columns, "column")
+    if others:
         raise ValueError(
-            f"`column` must be given, {recording.file} has the channels "
-            f"{named(found)}. Pass the name or the index (from 0) of one."
+            f"`column` must be given, {recording.file} has the channels {named([channel, *others])}. Pass the "
+            "name or the index (from 0) of one."
         )
-    values, clock = in_si(found[0], request, recording)
+    values, clock = in_si(channel, request, recording)
     peak = np.abs(values).max()
     if peak > LARGEST:
         from pymc_features.signals.check import implausible  # a second to import
@@ -174,11 +175,13 @@ def read_cyclic_test(
     given = [None, None] if units is None else pair(units, "units", "one of length and one of force")
     wrapped = False if wrapped is None and columns is not None else wrapped
     request = checked(Request(dt=dt, clock=False, skip=skip, wrapped=wrapped))
-    recordings = [recording_from(path, request, "files") for path in paths]
+    recordings = [read_source(path, request) for path in paths]
     found = []
-    for kind, column, unit, place in zip(KINDS, picked, given, (0, int(is_one)), strict=True):
-        recording = recordings[0 if is_one else KINDS.index(kind)]
-        channel = _channel(recording, column, kind, place, 1 + is_one)
+    for number, (kind, column, unit) in enumerate(zip(KINDS, picked, given, strict=True)):
+        recording = recordings[0 if is_one else number]
+        if column is None and not recording.question:
+            column = _place(recording, kind, number if is_one else 0, 1 + is_one)
+        channel = chosen(recording, [column])[0]
         asked = request._replace(units=unit, quantity=kind)
         found.append(in_si(channel, asked, recording._replace(file=f"{recording.file}, {kind}"))[0])
     displacement, force = found
@@ -200,19 +203,15 @@ def pair(value, name: str, what: str) -> list:
     return listed
 
 
-def _channel(recording: Recording, column, kind: str, place: int, usual: int) -> Channel:
-    """A channel as asked, by its label, or at its place among the usual number of columns."""
-    if column is not None:
-        return chosen(recording, [column])[0]
-    if recording.question:
-        raise ValueError(recording.question)
+def _place(recording: Recording, kind: str, place: int, usual: int) -> int:
+    """The channel that its label says is of a kind, or that at its place among the usual number of columns."""
     units = [unit_of(channel.unit or "") for channel in recording.channels]
     kinds = [u.quantity if u else role_of(c.name) for c, u in zip(recording.channels, units, strict=True)]
     if kinds.count(kind) == 1:
-        place = kinds.index(kind)
-    elif len(kinds) != usual or kinds[place] is not None or kind in kinds:
+        return kinds.index(kind)
+    if len(kinds) != usual or kinds[place] is not None or kind in kinds:
         raise ValueError(
             f"`columns` must be given, {recording.file} has {len(kinds)} columns "
             f"({named(recording.channels)}). Pass the one of the displacement and the one of the force."
         )
-    return recording.channels[place]
+    return place

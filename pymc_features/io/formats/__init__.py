@@ -1,15 +1,17 @@
 """Formats of record files: each an entry in `FORMATS`."""
 
 from functools import partial
-from pathlib import Path
 
+from pymc_features._checks import check_file
 from pymc_features.io.formats.libraries import (
     UNIVERSAL,
+    is_source,
     kind_of,
     read_parquet,
     read_tdms,
     read_universal,
     read_waveforms,
+    recording_in,
 )
 from pymc_features.io.formats.matlab import read_matlab
 from pymc_features.io.formats.strong_motion import LAYOUTS, read_strong_motion
@@ -54,8 +56,14 @@ FORMATS = tuple(Format(name, files, states, *READERS[name]) for name, files, sta
 TEXT = FORMATS[-1]
 
 
-def read_file(path: Path, request: Request) -> Recording:
-    """The channels of a file, by its first lines; no file leaves the library with another error than ours."""
+def read_source(source, request: Request, name: str = "files") -> Recording:
+    """The channels of a file, by its first lines, or of what is in memory already.
+
+    No file leaves the library with another error than ours.
+    """
+    if is_source(source):
+        return recording_in(source, request)
+    path = check_file(source, name)
     opening = Opening.of(path)
     entry = next(entry for entry in FORMATS if opening.begins(entry.begins))
     if request.wrapped is not None and entry is not TEXT:

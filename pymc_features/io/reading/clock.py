@@ -85,15 +85,6 @@ def check_increasing(times: np.ndarray, where: Callable[[int], str]) -> None:
         )
 
 
-def at_samples(values: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Values (..., row) at the numbers of their samples (row,), NaN where there is none."""
-    if values.shape[-1] == numbers[-1] + 1:
-        return values
-    whole = np.full((*values.shape[:-1], numbers[-1] + 1), np.nan)
-    whole[..., numbers] = values
-    return whole
-
-
 def aligned(rows: list[np.ndarray], clocks: list[Clock]) -> tuple[np.ndarray, float, float]:
     """Values (sensor, time) that all clocks have, by whole samples; step and start [s], 0 without clocks."""
     first = clocks[0]

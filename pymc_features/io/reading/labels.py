@@ -130,7 +130,7 @@ class Label(NamedTuple):
     @property
     def known(self) -> Unit | None:
         """The unit, if it is one that is known."""
-        return None if self.unit is None else unit_of(self.unit)
+        return unit_of(self.unit or "")
 
     @property
     def role(self) -> str | None:
@@ -141,11 +141,6 @@ class Label(NamedTuple):
     def seconds(self) -> float | None:
         """Seconds in the unit, if it is one of time."""
         return self.known.factor if self.known is not None and self.known.quantity == "time" else None
-
-    @property
-    def is_clock(self) -> bool:
-        """Whether this is the label of a clock: it says time, and states no unit of anything else."""
-        return self.role == "time" and (self.known is None or self.seconds is not None)
 
     @classmethod
     def of(cls, text: str, unit: str | None = None) -> "Label":
@@ -198,33 +193,28 @@ def sensitivity_of(sensitivity, quantity: str) -> float:
     """Volts in one SI unit of a quantity, of a number or a text such as "100 mV/g"."""
     if is_number(single(sensitivity)):
         return check_positive(sensitivity, "sensitivity", f"Pass the V per {SI[quantity]}.")
-    found = _SENSITIVITY.fullmatch(sensitivity) if isinstance(sensitivity, str) else None
-    voltage, unit = (None, None) if found is None else (unit_of(found[2]), unit_of(found[3]))
-    kinds = [one and one.quantity for one in (voltage, unit)]
-    number = 0.0 if found is None else float(found[1])
-    if number <= 0.0 or kinds != ["voltage", quantity]:
-        what = f'V per {SI[quantity]}, or a text such as "100 mV/{next(iter(UNITS[quantity]))}"'
-        raise ValueError(message("sensitivity", what, shown(sensitivity)))
-    return number * voltage.factor / unit.factor
+    if isinstance(sensitivity, str) and (found := _SENSITIVITY.fullmatch(sensitivity)):
+        number, voltage, unit = float(found[1]), unit_of(found[2]), unit_of(found[3])
+        if number > 0.0 and voltage and unit and (voltage.quantity, unit.quantity) == ("voltage", quantity):
+            return number * voltage.factor / unit.factor
+    what = f'V per {SI[quantity]}, or a text such as "100 mV/{next(iter(UNITS[quantity]))}"'
+    raise ValueError(message("sensitivity", what, shown(sensitivity)))
 
 
 def system_of_units(text: str) -> tuple[float, float, float]:
     """SI units in the force, length and mass of a system of units, "kN, m, t", in any order."""
-    what = 'a force, a length and a mass, such as "kN, m, t"'
     words = [word.strip() for word in text.split(",")] if isinstance(text, str) else []
-    found = {}
-    for word in words:
-        unit = Unit("mass", MASSES[word]) if word in MASSES else unit_of(word)
-        if unit is not None:
-            found["length" if unit.quantity == "displacement" else unit.quantity] = unit.factor
-    if set(found) != {"force", "length", "mass"} or len(words) != 3:
+    units = [Unit("mass", MASSES[word]) if word in MASSES else unit_of(word) for word in words]
+    found = {unit.quantity: unit.factor for unit in units if unit is not None}
+    if set(found) != {"force", "displacement", "mass"} or len(words) != 3:
+        what = 'a force, a length and a mass, such as "kN, m, t"'
         raise ValueError(message("units", what, shown(text)))
-    return found["force"], found["length"], found["mass"]
+    return found["force"], found["displacement"], found["mass"]
 
 
 def resolve_units(units, stated: str | None, source: str, quantity: str = "acceleration") -> float:
     """Factor [SI per file unit] by the file, or by the argument where the file does not say it."""
-    known = None if stated is None else unit_of(stated)
+    known = unit_of(stated or "")
     if known is not None and known.quantity != quantity:
         advice = f"Pass the columns that are {PLURALS[quantity]}."
         if known.quantity == "voltage":

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown, warn_caller
-from pymc_features.io.reading.clock import Clock, at_samples, check_increasing, even_clock
+from pymc_features.io.reading.clock import Clock, check_increasing, even_clock
 from pymc_features.io.reading.labels import (
     MEASURED,
     NO_HISTORY,
@@ -118,14 +118,27 @@ class Format(NamedTuple):
 
 
 def chosen(recording: Recording, columns: list | None, argument: str = "columns") -> list[Channel]:
-    """The channels that the caller names by index or name, or all that are measurements."""
+    """The channels, or all rows of a variable, that the caller names; by default all that are measurements."""
     channels = recording.channels
     if recording.question and not (columns and all(isinstance(column, str) for column in columns)):
         raise ValueError(recording.question)
-    if columns is None:
-        found = [channel for channel in channels if not channel.hidden]
-    else:
-        found = [channel for column in columns for channel in _find(recording, column, argument)]
+    found = [channel for channel in channels if not channel.hidden] if columns is None else []
+    for column in columns or ():
+        if isinstance(column, str):
+            word = column.strip()
+            matches = [c for c in channels if word in (c.name, c.label)]
+            matches = matches or [c for c in channels if word.lower() in (c.name.lower(), c.label.lower())]
+            rows = len({c.label for c in matches}) == 1 and matches[0].label != matches[0].name
+            if rows:  # of a variable, without its clock
+                matches = [channel for channel in matches if not channel.hidden] or matches
+        else:
+            matches, rows = list(channels[column : column + 1]) if column >= 0 else [], False
+        if len(matches) != 1 and not rows:
+            raise ValueError(
+                f"`{argument}` must be one of the channels of {recording.file} ({named(channels)}), got "
+                f"{shown(column)}. Pass the index (from 0) or the name of one."
+            )
+        found += matches
     if not found:
         raise ValueError(
             f"`{argument}` must name a channel of {recording.file} ({named(channels)}), none is a "
@@ -139,32 +152,12 @@ def named(channels: Sequence[Channel]) -> str:
     return listed([f"{c.name} [{c.unit}]" if c.unit else c.name for c in channels])
 
 
-def _find(recording: Recording, column, argument: str) -> list[Channel]:
-    """A channel by its index, or by its name or label; all rows of a variable by its name."""
-    channels = recording.channels
-    if isinstance(column, str):
-        exact = [c for c in channels if column.strip() in (c.name, c.label)]
-        wanted = column.strip().lower()
-        matches = exact or [c for c in channels if wanted in (c.name.lower(), c.label.lower())]
-        rows = len({channel.label for channel in matches}) == 1 and matches[0].label != matches[0].name
-        if rows:  # of a variable, without its clock
-            matches = [channel for channel in matches if not channel.hidden] or matches
-    else:
-        matches, rows = list(channels[column : column + 1]) if column >= 0 else [], False
-    if not matches or (len(matches) > 1 and not rows):
-        raise ValueError(
-            f"`{argument}` must be one of the channels of {recording.file} ({named(channels)}), got "
-            f"{shown(column)}. Pass the index (from 0) or the name of one."
-        )
-    return matches
-
-
 def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.ndarray, Clock]:
     """History (time,) of a channel in SI units at an even step, and its clock."""
     if channel.problem:
         raise ValueError(channel.problem)
     file, skip, quantity = recording.file, 0 if recording.skipped else request.skip, request.quantity
-    stated, voltage, said, by = channel.dt, request.sensitivity is not None, channel.quantity, "data set"
+    voltage, said, by = request.sensitivity is not None, channel.quantity, "data set"
     if said is None and channel.unit is None and not voltage and role_of(channel.name) in MEASURED:
         said, by = role_of(channel.name), "label"
     if said not in (None, quantity):
@@ -172,15 +165,13 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
             f"{file} must hold {PLURALS[quantity]}, the {by} {channel.name!r} says {said}. Pass the columns "
             "that are, or rename it."
         )
-    if channel.times is not None:
-        stated = request.dt
-        if stated is None:
-            raise ValueError(
-                f"`dt` must be given, the times of {file} ({channel.name}) are uneven, "
-                f"{float(np.diff(channel.times).mean()):.3g} s apart on average. {SAMPLING_INTERVAL} The "
-                "values are joined by straight lines and read off at this step."
-            )
-    dt = resolve_dt(request.dt, stated, file)
+    if channel.times is not None and request.dt is None:
+        raise ValueError(
+            f"`dt` must be given, the times of {file} ({channel.name}) are uneven, "
+            f"{float(np.diff(channel.times).mean()):.3g} s apart on average. {SAMPLING_INTERVAL} The "
+            "values are joined by straight lines and read off at this step."
+        )
+    dt = resolve_dt(request.dt, channel.dt, file)
     factor = resolve_units(request.units, channel.unit, file, "voltage" if voltage else quantity)
     if voltage:
         factor /= sensitivity_of(request.sensitivity, quantity)
@@ -258,20 +249,24 @@ def recording_of(columns: Columns, request: Request, question: str = "") -> Reco
     """The channels of a table on its clock; the clock and numbers of samples are hidden among them."""
     timer = clock_column(columns, request.clock)
     place, numbers = _clock(columns, timer, request)
-    channels = []
-    for index, label in enumerate(columns.labels):
-        problem = "" if index != timer else f"`columns` must name measurements, column {index} is the clock."
-        channels.append(
-            Channel(
-                label.name or f"column {index}",
-                at_samples(columns.values[:, index], numbers),
-                label.unit or columns.units,
-                **place,
-                label=label.text,
-                hidden=index == timer or label.is_clock or (label.role == "number" and label.unit is None),
-                problem=problem,
-            )
+    values, problem = columns.values.T, f"`columns` must name measurements, column {timer} is the clock."
+    if values.shape[1] <= numbers[-1]:
+        values = np.full((len(values), numbers[-1] + 1), np.nan)
+        values[:, numbers] = columns.values.T
+    channels = [
+        Channel(
+            label.name or f"column {index}",
+            row,
+            label.unit or columns.units,
+            **place,
+            label=label.text,
+            hidden=index == timer
+            or (label.role == "number" and label.unit is None)
+            or (label.role == "time" and (label.known is None or label.seconds is not None)),
+            problem=problem if index == timer else "",
         )
+        for index, (label, row) in enumerate(zip(columns.labels, values, strict=True))
+    ]
     return Recording(columns.file, channels, question=question, skipped=True)
 
 
@@ -318,23 +313,21 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
         return {"dt": columns.dt}, numbers
     readings, label, asked = columns.values[:, timer], columns.labels[timer], request.clock_units
     if not (known := np.isfinite(readings)).all():
-        raise ValueError(
-            f"{columns.where(int(known.argmin()), timer)}: the clock must have a time in every row, got "
-            "none. Cut the row."
-        )
-    known = 1.0 if timer == columns.stamp else label.seconds
+        where = columns.where(int(known.argmin()), timer)
+        raise ValueError(f"{where}: the clock must have a time in every row, got none. Cut the row.")
+    stated = 1.0 if timer == columns.stamp else label.seconds
     if asked is not None and label.known is not None and not np.isclose(label.known.factor, asked, rtol=1e-6):
         raise ValueError(
             f"`clock_units` must be those of the file, {file} states {label.text!r}, got {asked:g} s. Leave "
             "it out, or correct the file."
         )
-    if asked is None and label.unit is not None and not known:
+    if asked is None and label.unit is not None and not stated:
         raise ValueError(
             f"`clock_units` must be given, {file} states {label.unit!r} of its clock, which is no known unit "
             'of time. Pass "s", "ms", "us" or the seconds per count.'
         )
-    stated = asked or known or COUNTERS.get(label.name.lower())
-    scale = 1.0 if stated is None else stated
+    stated = asked or stated or COUNTERS.get(label.name.lower())
+    scale = stated or 1.0
     for index, other in enumerate(columns.labels):  # each channel may have times of its own
         if request.clock is None and index != timer and other.role == "time" and other.seconds is not None:
             times = other.seconds * columns.values[:, index]
