@@ -97,8 +97,8 @@ def read_record(
     channel, *others = chosen(recording, columns, "column")
     if others:
         raise ValueError(
-            f"`column` must be given, {recording.file} has the channels {named([channel, *others])}. Pass the "
-            "name or the index (from 0) of one."
+            f"`column` must be given, {recording.file} has the channels {named([channel, *others])}. Pass "
+            "the name or the index (from 0) of one."
         )
     values, clock = in_si(channel, request, recording)
     peak = np.abs(values).max()
@@ -204,7 +204,7 @@ def pair(value, name: str, what: str) -> list:
 
 
 def _place(recording: Recording, kind: str, place: int, usual: int) -> int:
-    """The channel that its label says is of a kind, or that at its place among the usual number of columns."""
+    """The channel that is of a kind by its label, or that at its place among the usual number of columns."""
     units = [unit_of(channel.unit or "") for channel in recording.channels]
     kinds = [u.quantity if u else role_of(c.name) for c, u in zip(recording.channels, units, strict=True)]
     if kinds.count(kind) == 1:

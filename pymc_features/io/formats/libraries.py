@@ -1,12 +1,9 @@
 """What other libraries read or hold: Universal Files, seismograms, TDMS, Parquet, HDF5, and data in memory.
 
-Of Universal Files time histories are read, data sets 58 in text or binary numbers (58b); frequency response
-functions and spectra, which stand in the same data sets, are refused. Identified modes are read by
-`read_modal`.
-
-ObsPy is asked for SAC, MiniSEED and the text formats TSPAIR and SLIST by name, never to find it out: its
-detection opens pickles. Its reader of GSE2 is left out, since a damaged file ends the process. These files
-hold counts or numbers of any unit, so that `units` must be given.
+Of Universal Files time histories are read, data sets 58 in text or binary numbers; frequency response
+functions and spectra, which stand in the same data sets, are refused. ObsPy is asked for formats by name,
+never to find them out: its detection opens pickles. Its reader of GSE2 is left out, since a damaged file ends
+the process.
 
 Čermelj, P., Slavič, J. et al., pyuff, https://github.com/ladisk/pyuff; Structural Dynamics Research
 Corporation, Universal File Dataset 58. Krischer, L. et al. (2015), ObsPy: a bridge for seismology into the
@@ -45,11 +42,7 @@ KNOWN = {15, 18, 27, 30, 31, 55, 56, 57, 58, 82, 151, 156, 164, 241, 250, 252, 2
 KNOWN |= {770, 771, 772, 773, 774, 775, 776, 777, 778, 779, 780, 781, 789, 790, 791, 1710, 1715, 1716, 1717}
 KNOWN |= {1802, 1807, 1808, 1809, 1858, 1860, 3062, *range(2400, 2500)}
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")  # directions 1 to 6
-TIME_RESPONSE = 1  # type of function
-BYTE_ORDERS, IEEE = (1, 2), 2  # the least byte first, or last
-SINGLE = (2, 5)  # types of numbers in four bytes
 PER_LINE = 6  # numbers of a line, at most
-UNLABELLED = "", "none"
 #: Columns of whole numbers of records 6, of types, nodes and directions, and 7, above the step.
 COLUMNS = {6: [(0, 5), (5, 15), (15, 20), (20, 30), (41, 51), (51, 55), (66, 76), (76, 80)]}
 COLUMNS |= {7: [(0, 10), (10, 20), (20, 30)]}
@@ -104,7 +97,7 @@ def read_universal(path: Path, request: Request) -> Recording:
 
 def _history(name: str, found: dict, raw: bytes) -> Channel:
     """The numbers of a data set on their clock."""
-    if found["func_type"] != TIME_RESPONSE or np.iscomplexobj(found["data"]):
+    if found["func_type"] != 1 or np.iscomplexobj(found["data"]):
         raise ValueError(
             f"functions must be time histories, type 1, got type {found['func_type']}. Identify the modes "
             "from frequency response functions first."
@@ -117,16 +110,16 @@ def _history(name: str, found: dict, raw: bytes) -> Channel:
         what = f"the {n} samples of the header must be there, at least 2, got {values.size}"
         raise ValueError(f"{what}. Fetch the file again.")
     if found["binary"]:  # which must reach to the end of the data set, else a byte was lost or added
-        order, stored = found["byte_ordering"], "f4" if found["ord_data_type"] in SINGLE else "f8"
-        last = values[-1:].astype(("<" if order == 1 else ">") + stored).tobytes()
+        order, single = found["byte_ordering"], found["ord_data_type"] in (2, 5)
+        last = values[-1:].astype(f"{'<' if order == 1 else '>'}f{4 if single else 8}").tobytes()
         whole = any(last + end + b"    -1" in raw for end in (b"", b"\n", b"\r\n"))
-        if order not in BYTE_ORDERS or found["fp_format"] != IEEE or not whole:
+        if order not in (1, 2) or found["fp_format"] != 2 or not whole:
             raise ValueError(
                 "binary numbers must be IEEE, 2, of byte order 1 or 2, and reach to the end of their data "
                 f"set, got {found['fp_format']} and {order}. Fetch the file again."
             )
     labels = (found.get(f"{axis}_axis_units_lab", "").strip() for axis in ("abscissa", "ordinate"))
-    label, unit = ("" if text.lower() in UNLABELLED else text for text in labels)
+    label, unit = ("" if text.lower() == "none" else text for text in labels)
     clock = unit_of(label or "s")
     if clock is None or clock.quantity != "time":
         raise ValueError(f"times must be in a unit of time, got {label!r}. Export seconds.")
@@ -159,7 +152,6 @@ def _check_text(path: Path, raw: bytes) -> None:
 # --- seismograms, by ObsPy --------------------------------------------------------------------------
 
 VERSIONS = (6, 7)  # of the SAC header
-FEWEST_STAMPS = 3  # by which the step is told
 SAC_HEADER, SAC_FACTS = 632, "f300xi8xi"  # bytes of it; step, and behind what is skipped version and count
 
 
@@ -210,13 +202,11 @@ def read_waveforms(path: Path, request: Request) -> Recording:
             stream = obspy.read(raw, format=kind, check_compression=False, **options)
             stream.merge(method=0)  # joins what follows, and what overlaps and agrees; masks gaps
     if kind in ("TSPAIR", "SLIST"):  # ObsPy reads files with another number of values than they announce
-        announced = re.findall(rb"^TIMESERIES [^,]*,\s*(\d{1,12})(?![^\s,])", path.read_bytes(), re.MULTILINE)
-        found = sum(trace.data.size for trace in stream)
-        if found != sum(map(int, announced)):
-            raise ValueError(
-                f"{path.name} ({kind}) must hold the {sum(map(int, announced))} samples of its headers, got "
-                f"{found}. Fetch the file again."
-            )
+        counts = re.findall(rb"(?m)^TIMESERIES [^,]*,\s*(\d{1,12})(?![^\s,])", path.read_bytes())
+        announced, found = sum(map(int, counts)), sum(trace.data.size for trace in stream)
+        if found != announced:
+            what = f"the {announced} samples of its headers, got {found}"
+            raise ValueError(f"{path.name} ({kind}) must hold {what}. Fetch the file again.")
     steps = stamped_steps(path, stream) if kind == "MSEED" else {}
     return Recording(path.name, channels_of(stream, f"{path.name} ({kind})", steps))
 
@@ -236,7 +226,7 @@ def stamped_steps(path: Path, stream) -> dict[str, float]:
     for name, own in records.items():
         begins, counts = np.array(sorted(own)).T
         stated = next((trace.stats.delta for trace in stream if trace.id == name), None)
-        if stated is None or len(own) < FEWEST_STAMPS or np.diff(begins).max() > 1.5 * stated * counts.max():
+        if stated is None or len(own) < 3 or np.diff(begins).max() > 1.5 * stated * counts.max():
             continue  # of gaps no step is told
         places = np.append(0.0, np.cumsum(counts)[:-1])
         step = float(np.polyfit(places, begins - begins[0], 1)[0])
@@ -264,7 +254,7 @@ def read_tdms(path: Path, request: Request) -> Recording:
         facts = channel.properties
         name = channel.name if len(groups) == 1 else f"{group.name}/{channel.name}"
         unit = str(facts.get("unit_string") or facts.get("NI_UnitDescription") or "") or None
-        start = facts.get("wf_start_time")
+        step, start = float(facts.get("wf_increment", 0.0)) or None, facts.get("wf_start_time")
         if isinstance(start, np.datetime64) and start > np.datetime64("1971"):  # 1904 is none
             start = float(start.astype("datetime64[us]").astype(np.int64)) * 1e-6
             start += float(facts.get("wf_start_offset", 0.0))
@@ -274,7 +264,6 @@ def read_tdms(path: Path, request: Request) -> Recording:
         if values.dtype.kind not in "iuf" or values.size < 2:
             problem = f"{path.name}, {name}: values must be numbers, at least 2, got {values.size} others."
             values = np.zeros(0)
-        step = float(facts.get("wf_increment", 0.0)) or None
         channels.append(Channel(name, values.astype(np.float64), unit, step, start=start, problem=problem))
     return Recording(path.name, channels)
 
@@ -308,7 +297,7 @@ def recording_in(source, request: Request) -> Recording:
     if "DataFrame" in names:
         return _of_frame(source, request)
     if "DataArray" in names:
-        return _of_array(source)
+        return Recording("the DataArray", _of_array(source))
     if "Stream" in names:
         return Recording("the Stream", channels_of(source.copy().merge(method=0), "the Stream", {}))
     return Recording("the list", [_of_dict(entry) for entry in source])
@@ -345,15 +334,8 @@ def _of_frame(frame, request: Request) -> Recording:
         origin, seconds = _seconds(index.to_numpy())
         values, stamp = np.insert(values, 0, seconds, axis=1), 0 if dates else None
         labels = [Label("time", "time") if dates else Label.of(str(index.name)), *labels]
-    columns = Columns(
-        "the DataFrame",
-        labels,
-        values[request.skip :],
-        lambda row, _: f"row {row}",
-        stamp=stamp,
-        origin=origin,
-    )
-    return recording_of(columns, request)
+    table = Columns("the DataFrame", labels, values[request.skip :], lambda row, _: f"row {row}")
+    return recording_of(table._replace(stamp=stamp, origin=origin), request)
 
 
 def _seconds(times: np.ndarray) -> tuple[float, np.ndarray]:
@@ -365,7 +347,7 @@ def _seconds(times: np.ndarray) -> tuple[float, np.ndarray]:
     return first * 1e-9, (nanoseconds - first) * 1e-9
 
 
-def _of_array(array) -> Recording:
+def _of_array(array) -> list[Channel]:
     """Sensors by the coordinate `sensor`, times [s] or dates by the coordinate `time`, `units` in `attrs`."""
     if not set(array.dims) <= {"sensor", "time"} or "time" not in array.dims:
         raise ValueError(
@@ -376,16 +358,13 @@ def _of_array(array) -> Recording:
     names = whole["sensor"].values if "sensor" in array.coords else range(whole.sizes["sensor"])
     one = [array.attrs.get("units")] * len(names)
     units = whole.coords["units"].values if "units" in whole.coords else one
-    place = {}
+    times, unit, start = None, "s", None
     if "time" in array.coords:
-        origin, seconds = _seconds(whole["time"].values)
+        origin, times = _seconds(whole["time"].values)
         unit = "s" if whole["time"].dtype.kind in "mM" else str(whole["time"].attrs.get("units", "s"))
-        place = _place("the DataArray", seconds, unit, origin + float(array.attrs.get("start", 0.0)))
-    channels = [
-        Channel(str(name), row.astype(np.float64), None if unit is None else str(unit), **place)
-        for name, row, unit in zip(names, whole.values, units, strict=True)
-    ]
-    return Recording("the DataArray", channels)
+        start = origin + float(array.attrs.get("start", 0.0))
+    rows = zip(names, whole.values, units, strict=True)
+    return [_timed(name, row, said, times, unit, start) for name, row, said in rows]
 
 
 def _of_dict(entry: Mapping) -> Channel:
@@ -405,18 +384,17 @@ def _of_dict(entry: Mapping) -> Channel:
     if isinstance(start, datetime):
         start = (start if start.tzinfo else start.replace(tzinfo=UTC)).timestamp()
     dt = 1.0 / float(entry["fs"]) if "fs" in entry else None
-    place = {"dt": dt, "start": start}
-    if "time" in entry:
-        place = _place(str(entry["name"]), entry["time"], "s", start or 0.0, dt)
+    return _timed(entry["name"], entry["data"], entry["unit_str"], entry.get("time"), "s", start, dt)
+
+
+def _timed(name, values, unit, times, time_unit: str, start, dt: float | None = None) -> Channel:
+    """A channel at its times (time,), which count from the start [s], or at a step [s]."""
+    if times is not None:
+        readings = np.asarray(times, dtype=np.float64)[:, None]
+        label = Label("time", "time", time_unit)
+        table = Columns(str(name), [label], readings, lambda row, _: f"{name}, sample {row}", dt=dt)
+        [clock] = recording_of(table, Request()).channels
+        dt, start = clock.dt, (start or 0.0) + clock.start
     return Channel(
-        str(entry["name"]), np.asarray(entry["data"], dtype=np.float64), str(entry["unit_str"]), **place
+        str(name), np.asarray(values, dtype=np.float64), None if unit is None else str(unit), dt, start=start
     )
-
-
-def _place(source: str, times, unit: str, start: float, dt: float | None = None) -> dict:
-    """Step and start of a channel by its times (time,), in a unit, and what they count from [s]."""
-    readings = np.asarray(times, dtype=np.float64)[:, None]
-    label = Label("time", "time", unit)
-    columns = Columns(source, [label], readings, lambda row, column: f"{source}, sample {row}", dt=dt)
-    [clock] = recording_of(columns, Request()).channels
-    return {"dt": clock.dt, "start": start + clock.start}

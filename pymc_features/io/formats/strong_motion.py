@@ -1,21 +1,21 @@
 """Strong-motion records: PEER AT2, ESM, K-NET, NSMN and UNAM; COSMOS, CSMIP, GeoNet and SMC in blocks.
 
-A reader takes the lines of a file and gives its channels, or these and the name of the recording;
-`LAYOUTS` is their table. Pacific Earthquake Engineering Research Center, AT2 (spellings have varied
-over the decades). Luzi, L. et al. (2016), Engineering Strong Motion database, Seism. Res. Lett. 87,
-987-997, with the labels of DYNA 1.2, in which the Turkish TADAS exports too. National Research Institute
-for Earth Science and Disaster Resilience, About K-NET ASCII format,
-https://www.kyoshin.bosai.go.jp/kyoshin/man/knetform_en.html. Disaster and Emergency Management Authority
-(AFAD), text files of the Turkish National Strong Motion Network, https://tadas.afad.gov.tr. Sociedad
-Mexicana de Ingenieria Sismica, archivo estandar de aceleracion 2.0. COSMOS Strong Motion Data Format,
-version 1.20, 2001, Tables 2 (units), 9 (text), 10 (integers) and 11 (reals). Shakal, A. F. and Huang, M. J.
-(1985), Standard Tape Format for CSMIP Strong-Motion Data Tapes, OSMS 85-03. GNS Science, GeoNet
+A reader takes the lines of a file and yields its channels; `LAYOUTS` is the table of readers. Pacific
+Earthquake Engineering Research Center, AT2 (spellings have varied over the decades). Luzi, L. et al. (2016),
+Engineering Strong Motion database, Seism. Res. Lett. 87, 987-997, with the labels of DYNA 1.2, in which the
+Turkish TADAS exports too. National Research Institute for Earth Science and Disaster Resilience, About K-NET
+ASCII format, https://www.kyoshin.bosai.go.jp/kyoshin/man/knetform_en.html. Disaster and Emergency Management
+Authority (AFAD), text files of the Turkish National Strong Motion Network, https://tadas.afad.gov.tr.
+Sociedad Mexicana de Ingenieria Sismica, archivo estandar de aceleracion 2.0. COSMOS Strong Motion Data
+Format, version 1.20, 2001, Tables 2 (units), 9 (text), 10 (integers) and 11 (reals). Shakal, A. F. and Huang,
+M. J. (1985), Standard Tape Format for CSMIP Strong-Motion Data Tapes, OSMS 85-03. GNS Science, GeoNet
 strong-motion data, formats of volumes 1 and 2,
 https://www.geonet.org.nz/data/supplementary/strong_motion_file_formats. U.S. Geological Survey, SMC-format
 Data Files, sections 3 and 4, https://escweb.wr.usgs.gov/nsmp-data/smcfmt.html.
 """
 
 import re
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from itertools import pairwise, zip_longest
 from pathlib import Path
@@ -35,8 +35,6 @@ from pymc_features.io.reading.lines import (
 from pymc_features.io.reading.recording import Channel, Recording, Request, even_or_times
 
 NO_SPECTRA = "the file must hold accelerations", "spectra (V3)", "Read the V2 file."
-
-# --- what headers state -----------------------------------------------------------------------------
 
 
 def positive(lines: Lines, value: float | None, what: str) -> float:
@@ -92,8 +90,6 @@ def labelled(lines: Lines, end: str | None = None) -> dict[str, str]:
             facts.setdefault(" ".join(label.upper().split()), value.strip())
 
 
-# --- PEER AT2: what the values are, how many (NPTS) and how far apart (DT), in any words -------------
-
 # of lines with single blanks; all repetitions are bounded, so that the time is proportional to the text
 _NUMBER = r"[-+]?(?:\d{1,20}(?:\.\d{0,20})?|\.\d{1,20})(?:[eEdD][-+]?\d{1,3})?"
 _NPTS = re.compile(r"\bNPTS\s?[=:]\s?(\d{1,12})(?![\dA-Za-z])", re.IGNORECASE | re.ASCII)
@@ -107,8 +103,8 @@ _DATE = re.compile(r"\b\d{1,2}/\d{1,2}/\d{2,4}\b", re.ASCII)
 _GLUED = re.compile(r"(?<=[\d.])([-+])", re.ASCII)
 
 
-def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
-    """The single series of a file, and its event."""
+def read_at2(lines: Lines) -> Iterator[Channel]:
+    """PEER AT2: what the values are, how many (NPTS) and how far apart (DT), in any words."""
     npts, header, values = next((k for k, line in lines if "NPTS" in line.upper()), 0), [], []
     first, last = 0, 0
     for number, line in lines:
@@ -145,16 +141,13 @@ def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
     if unit is None and words is not None and known_factor(words[1]) is not None:
         unit = words
     dated = [line for line in header if _DATE.search(line)]
+    lines.event = dated[0] if len(dated) == 1 else None
     step = to_number(step) if step else None  # DT = 0 states nothing
-    channel = Channel(lines.stem, np.array(values), unit and unit[1], step or None)
-    return [channel], dated[0] if len(dated) == 1 else None
+    yield Channel(lines.stem, np.array(values), unit and unit[1], step or None)
 
 
-# --- ESM and ITACA: one column of accelerations ------------------------------------------------------
-
-
-def read_esm(lines: Lines) -> tuple[list[Channel], str]:
-    """One component."""
+def read_esm(lines: Lines) -> Iterator[Channel]:
+    """ESM and ITACA: one component, in one column."""
     facts = labelled(lines)
     n_times = positive(lines, to_count(facts.get("NDATA", "")), "NDATA")
     dt = positive(lines, to_number(facts.get("SAMPLING_INTERVAL_S", "")), "SAMPLING_INTERVAL_S")
@@ -168,8 +161,8 @@ def read_esm(lines: Lines) -> tuple[list[Channel], str]:
         whole, _, fraction = text.partition(".")
         start = _moment(lines, whole, "%Y%m%d_%H%M%S", "20190728_160919.870")
         start += to_number(f"0.{fraction}") or 0.0
-    station = f"{facts.get('NETWORK', '')}.{facts.get('STATION_CODE', '')} {name}".strip(". ")
-    return [channel(lines, name, values, facts.get("UNITS") or None, peak, dt=dt, start=start)], station
+    lines.event = f"{facts.get('NETWORK', '')}.{facts.get('STATION_CODE', '')} {name}".strip(". ")
+    yield channel(lines, name, values, facts.get("UNITS") or None, peak, dt=dt, start=start)
 
 
 def _moment(lines: Lines, text: str, form: str, example: str) -> float:
@@ -180,16 +173,14 @@ def _moment(lines: Lines, text: str, form: str, example: str) -> float:
         raise lines.error(f"the time of the record must be as {example}", repr(text)) from None
 
 
-# --- K-NET and KiK-net: counts below seventeen lines -------------------------------------------------
-
 KNET = "station code", "record time", "sampling freq(hz)", "duration time(s)", "dir"
 KNET += "scale factor", "max acc (gal)"
 DIRECTIONS = {"1": "NS1", "2": "EW1", "3": "UD1", "4": "NS2", "5": "EW2", "6": "UD2"}  # 2: at the surface
 DELAY = 15.0 + 9 * 3600.0  # [s], of the trigger, and of Japanese time on UTC
 
 
-def read_knet(lines: Lines) -> tuple[list[Channel], str]:
-    """One component [gal], without the mean of its counts, as for the maximum that the header states."""
+def read_knet(lines: Lines) -> Iterator[Channel]:
+    """K-NET and KiK-net: one component [gal], without the mean of its counts, as for the stated maximum."""
     found = {}
     for _ in range(17):
         words = lines.take("17 lines of header").split()
@@ -212,15 +203,12 @@ def read_knet(lines: Lines) -> tuple[list[Channel], str]:
     gal = full / scale * (counts - counts.mean())
     direction = DIRECTIONS.get(direction, direction)
     start = _moment(lines, time, "%Y/%m/%d %H:%M:%S", "2006/01/18 23:25:46") - DELAY
-    found = channel(lines, direction, gal, "gal", to_number(peak), dt=1.0 / rate, start=start)
-    return [found], f"{station} {direction}, {time}"
+    lines.event = f"{station} {direction}, {time}"
+    yield channel(lines, direction, gal, "gal", to_number(peak), dt=1.0 / rate, start=start)
 
 
-# --- NSMN and UNAM: columns of all directions ---------------------------------------------------------
-
-
-def read_nsmn(lines: Lines) -> list[Channel]:
-    """The three components of a file [gal]."""
+def read_nsmn(lines: Lines) -> Iterator[Channel]:
+    """NSMN: columns of three components [gal]."""
     lines.take("a title")
     facts = labelled(lines, "N-S")  # so begins the line with the directions
     directions = lines.last.split()
@@ -228,11 +216,11 @@ def read_nsmn(lines: Lines) -> list[Channel]:
     dt = positive(lines, to_number(facts.get("SAMPLING INTERVAL (SEC)", "")), "SAMPLING INTERVAL (SEC)")
     width = len(directions)
     values = lines.numbers(n_times * width, "rows, the number of data", per_line=width).reshape(-1, width)
-    return [Channel(name, column, "gal", dt) for name, column in zip(directions, values.T, strict=True)]
+    yield from (Channel(name, column, "gal", dt) for name, column in zip(directions, values.T, strict=True))
 
 
-def read_unam(lines: Lines) -> list[Channel]:
-    """The channels of a file."""
+def read_unam(lines: Lines) -> Iterator[Channel]:
+    """UNAM: columns of all directions."""
     facts = labelled(lines, "DATOS DE ACELERACION")
 
     def listed(*labels: str) -> list[str]:
@@ -257,16 +245,13 @@ def read_unam(lines: Lines) -> list[Channel]:
     width = column_width("(" + next((facts[key] for key in facts if key.startswith("FORMATO DATOS")), ""), 10)
     columns = lines.numbers(n_times * len(directions), "values", width).reshape(-1, len(directions)).T
     peaks = zip_longest(directions, map(to_number, listed("ACEL. MAX.(GAL)")))
-    found = zip(peaks, columns, strict=False)
-    return [channel(lines, name, column, unit, peak, dt=dt) for (name, peak), column in found]
+    for (name, peak), column in zip(peaks, columns, strict=False):
+        yield channel(lines, name, column, unit, peak, dt=dt)
 
-
-# --- COSMOS V0 to V2: text, integers, reals and comments above each series ------------------------
 
 UNITS = {2: (1.0, "g"), 4: (1.0, "cm/s^2"), 7: (0.0254, "m/s^2")}
 UNITS |= {10: (1.0, "gal"), 11: (1e-3, "g"), 12: (1e-6, "g")}
 QUANTITIES = ("accel", "veloc", "displ", "rotat", "angul", "press", "strain", "speed")
-STEP, RAW_STEP, PEAK = 61, 33, 63  # reals: of the series [ms], of the recorder [s], signed
 
 
 def _counted(lines: Lines, what: str, *words: str) -> tuple[int, str]:
@@ -285,9 +270,9 @@ def _comments(lines: Lines, count: int) -> None:
             raise lines.error("a comment must begin with |", "another line")
 
 
-def read_cosmos(lines: Lines) -> list[Channel]:
-    """All accelerations of a file, each below headers of its own; other quantities are passed over."""
-    channels, reals = [], np.zeros(0)
+def read_cosmos(lines: Lines) -> Iterator[Channel]:
+    """COSMOS V0 to V2: text, integers, reals and comments above each series; accelerations are taken."""
+    reals = np.zeros(0)
     while (line := lines.peek()) is not None:
         if "(format v" not in line.lower():
             raise lines.error("the next channel must begin with its format version", repr(line.strip()[:60]))
@@ -300,9 +285,10 @@ def read_cosmos(lines: Lines) -> list[Channel]:
             count, line = _counted(lines, f"the number of {kind} header values or lines", kind)
             reals = lines.numbers(count, f"{kind} header values", column_width(line, width))
         _comments(lines, _counted(lines, "the number of comment header values or lines", "comment")[0])
-        reals = np.append(reals, np.zeros(PEAK + 1))
-        steps = [float(step) for step in (1e-3 * reals[STEP], reals[RAW_STEP]) if step > 0.0]
-        peak = reals[PEAK] if reals[PEAK] > -999.0 else None
+        # the step of the recorder [s], that of the series [ms], its peak
+        recorded, step, peak = np.append(reals, np.zeros(64))[[33, 61, 63]].tolist()
+        steps = [step for step in (1e-3 * step, recorded) if step > 0.0]
+        peak = peak if peak > -999.0 else None
         name = " ".join(text[7].partition("(")[0].split()[2:]) if len(text) > 7 else ""
         while (line := lines.peek()) is not None and "(format v" not in line.lower():
             if line.lstrip().lower().startswith("end-of-data"):
@@ -320,21 +306,16 @@ def read_cosmos(lines: Lines) -> list[Channel]:
             word, _, code = line.partition("units=")[2].partition("(")
             factor, unit = UNITS.get(to_count(code.partition(")")[0].strip()), (1.0, word.strip(" ,")))
             dt = steps[0] if steps else None
-            channels.append(channel(lines, name or "acceleration", values, unit, peak, factor, dt=dt))
-    return channels
+            yield channel(lines, name or "acceleration", values, unit, peak, factor, dt=dt)
 
-
-# --- CSMIP and CESMD, volumes 1 and 2, in lines of 80; film is digitised at uneven times -----------------
 
 UNCORRECTED, CORRECTED = "uncorrected accelerogram data", "corrected accelerogram"
 SPECTRA = "response and fourier"
 TEXT_LINES, NUMBER_LINES = {1: 13, 2: 25}, {1: 14, 2: 20}  # by volume
-PAIR_WIDTH, PAIR_QUANTUM = 7, 1e-3  # characters; [s]
 
 
-def read_csmip(lines: Lines) -> list[Channel]:
-    """All channels of a file of either volume."""
-    channels = []
+def read_csmip(lines: Lines) -> Iterator[Channel]:
+    """CSMIP and CESMD, volumes 1 and 2, in lines of 80 characters."""
     while (line := lines.peek()) is not None:
         first = line.strip().lower()
         volume = next((v for v, begins in ((1, UNCORRECTED), (2, CORRECTED)) if first.startswith(begins)), 0)
@@ -347,12 +328,11 @@ def read_csmip(lines: Lines) -> list[Channel]:
         lines.several(NUMBER_LINES.get(volume, 0), "lines of numbers below the text")
         text = [" ".join(line.split()) for line in text]
         if volume == 1:
-            channels.append(_volume_1(lines, text))
+            yield _volume_1(lines, text)
         elif volume == 2:
-            channels.append(_section(lines, "accel", text[7], number_after(text[17], "peak acceleration")))
+            yield _section(lines, "accel", text[7], number_after(text[17], "peak acceleration"))
             while "points of" in (lines.peek() or "").lower():
                 _section(lines, lines.peek().lower().partition("points of")[2].split()[0], "")
-    return channels
 
 
 def _section(lines: Lines, quantity: str, name: str, peak: float | None = None) -> Channel:
@@ -369,8 +349,8 @@ def _volume_1(lines: Lines, text: list[str]) -> Channel:
         n_pairs = positive(lines, number_after(text[10], "points"), "the number of points")
         if n_pairs != round(n_pairs):
             raise lines.error("the number of points must be whole", n_pairs)
-        times, values = lines.numbers(2 * int(n_pairs), "times and values", PAIR_WIDTH).reshape(-1, 2).T
-        spacing = even_or_times(times, PAIR_QUANTUM, lambda row: lines.where())
+        times, values = lines.numbers(2 * int(n_pairs), "times and values", 7).reshape(-1, 2).T
+        spacing = even_or_times(times, 1e-3, lambda row: lines.where())
         unit = text[11].lower().partition(" and ")[2]
     else:
         count, line = _counted(lines, "the number of points, and their rate in pts/sec,", "pts/sec")
@@ -382,24 +362,16 @@ def _volume_1(lines: Lines, text: list[str]) -> Channel:
     return Channel(text[6], factor * values, unit, **spacing)
 
 
-# --- GeoNet V1A and V2A: three components, one below the other, in columns of eight -----------------------
-
-POINTS = 33  # integers: of accelerations, then of velocities and displacements
-STEP_1, STEP_2 = 24, 25  # reals, of volumes 1 and 2 [s]
-
-
-def read_geonet(lines: Lines) -> list[Channel]:
-    """The components of a file."""
-    channels = []
+def read_geonet(lines: Lines) -> Iterator[Channel]:
+    """GeoNet V1A and V2A: three components, one below the other, in columns of eight characters."""
     while lines.peek() is not None:
         text = lines.several(16, "lines of text")
         volume = text[0].lower()
         if "corrected accelerogram" not in volume:
             raise lines.error("a component must begin with its volume", repr(text[0].strip()[:60]))
         integers, reals = lines.numbers(40, "integers", 8), lines.numbers(60, "reals", 8)
-        step = STEP_1 if volume.startswith("uncorrected") else STEP_2
-        n_times = int(integers[POINTS])
-        dt = positive(lines, float(reals[step]), "the step")
+        n_times, *n_others = integers[33:36].astype(int).tolist()  # of velocities and displacements
+        dt = positive(lines, float(reals[24 if volume.startswith("uncorrected") else 25]), "the step")
         said, words = number_after(text[9], "points"), pairwise(text[10].split())
         steps = [to_number(number) for number, unit in words if unit.lower() in ("s", "sec")]
         if said != n_times or not steps or steps[0] is None or abs(steps[0] - dt) > 0.01 * dt:
@@ -410,46 +382,37 @@ def read_geonet(lines: Lines) -> list[Channel]:
         if text[13].split()[3:4] != ["mm/s/s"] or number_after(text[10], "in units of") not in (None, 1.0):
             raise lines.error("accelerations must be in mm/s/s", repr(text[13].strip()[:60]))
         values = lines.numbers(n_times, "accelerations", 8)
-        for n_others in integers[POINTS + 1 : POINTS + 3]:  # velocities, displacements
-            lines.numbers(max(int(n_others), 0), "values", 8)
+        for count in n_others:
+            lines.numbers(max(count, 0), "values", 8)
         name = next(iter(text[12].partition("Component")[2].split()), "acceleration")
-        peak = number_after(text[13], "peak")
-        channels.append(channel(lines, name, values, "m/s^2", peak, 1e-3, dt=dt))
-    return channels
+        yield channel(lines, name, values, "m/s^2", number_after(text[13], "peak"), 1e-3, dt=dt)
 
 
-# --- SMC: one series; those of film have no rate, and are pairs of time and acceleration ------------------
-
-N_COMMENTS, N_VALUES = 15, 16  # of the 48 integers
-NULL, RATE, HIGHEST, LOWEST = 0, 1, 29, 31  # of the 50 reals
-DIGITS = 5  # that are printed of every value
-
-
-def read_smc(lines: Lines) -> list[Channel]:
-    """The acceleration of a file [cm/s^2]."""
+def read_smc(lines: Lines) -> Iterator[Channel]:
+    """SMC: one series [cm/s^2]; of film it has no rate, and is pairs of time and acceleration."""
     text = lines.several(11, "lines of text")
     if "accelerogram" not in text[0].lower():
         raise ValueError(f"{lines.title} must hold an acceleration, got {text[0].strip()[:40]!r}.")
     integers, reals = lines.numbers(48, "integers", 10), lines.numbers(50, "reals", 15)
-    _comments(lines, int(integers[N_COMMENTS]))
-    values = lines.numbers(int(integers[N_VALUES]), "values", 10)
+    n_comments, n_values = integers[15:17].astype(int).tolist()
+    _comments(lines, n_comments)
+    values = lines.numbers(n_values, "values", 10)
     name = " ".join(text[5].partition("component=")[2].split()) or "acceleration"
-    stated = {k: float(reals[k]) for k in (RATE, HIGHEST, LOWEST)}
-    stated = {k: real for k, real in stated.items() if not np.isclose(real, reals[NULL], rtol=1e-3)}
-    if RATE in stated:
-        spacing = {"dt": 1.0 / positive(lines, stated[RATE], "the samples in a second")}
+    null, *facts = reals[[0, 1, 29, 31]].tolist()
+    rate, *peaks = (None if np.isclose(fact, null, rtol=1e-3) else fact for fact in facts)
+    if rate is not None:
+        spacing = {"dt": 1.0 / positive(lines, rate, "the samples in a second")}
     elif values.size % 2 or values.size < 4:
         raise lines.error("values without a rate must be pairs of time and acceleration", values.size)
     else:
         times, values = values.reshape(-1, 2).T
-        quantum = 10.0 ** (np.floor(np.log10(max(times[-1], 1e-9))) - DIGITS + 1)
+        quantum = 10.0 ** (np.floor(np.log10(max(times[-1], 1e-9))) - 4)  # five digits are printed
         spacing = even_or_times(times, quantum, lambda row: lines.where())
-    peak = max((abs(stated[k]) for k in (HIGHEST, LOWEST) if k in stated), default=None)
-    return [channel(lines, name, values, "cm/s^2", peak, **spacing)]
+    peak = max((abs(peak) for peak in peaks if peak is not None), default=None)
+    yield channel(lines, name, values, "cm/s^2", peak, **spacing)
 
 
-# --- the table: name, how the first lines begin in lower case, reader -----------------------------------
-
+#: By the name of a format, how its first lines begin, in lower case, and what reads it.
 LAYOUTS = {
     "PEER AT2": (
         lambda opening: opening.suffix == ".at2" or opening.begins(r"(.*\n){0,19}(?=.*npts).*dt"),
@@ -472,8 +435,7 @@ LAYOUTS = {
 def read_strong_motion(name: str, path: Path, request: Request) -> Recording:
     """The channels of a file of one of the layouts, below which nothing may follow."""
     lines = Lines(path, name.partition(" and ")[0])
-    found = LAYOUTS[name][1](lines)
+    channels = list(LAYOUTS[name][1](lines))
     if lines.announced and (line := lines.peek()) is not None:
         raise lines.error(f"nothing may follow the {lines.announced}", repr(line.strip()[:60]))
-    channels, title = found if isinstance(found, tuple) else (found, None)
-    return Recording(path.name, channels, title)
+    return Recording(path.name, channels, lines.event)

@@ -70,7 +70,7 @@ class Lines:
         self.file, self.stem = path.name, path.stem
         self.title = f"{path.name} ({format_name})" if format_name else path.name
         self.number, self.last = 0, ""  # of the line that was taken last, and what it says
-        self.announced = ""  # which numbers were read last
+        self.announced, self.event = "", None  # which numbers were read last; what the recording is called
 
     @cached_property
     def whole(self) -> list[str]:

@@ -118,7 +118,7 @@ class Format(NamedTuple):
 
 
 def chosen(recording: Recording, columns: list | None, argument: str = "columns") -> list[Channel]:
-    """The channels, or all rows of a variable, that the caller names; by default all that are measurements."""
+    """The channels, or all rows of a variable, that the caller names; by default all measurements."""
     channels = recording.channels
     if recording.question and not (columns and all(isinstance(column, str) for column in columns)):
         raise ValueError(recording.question)
