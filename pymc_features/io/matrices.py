@@ -59,8 +59,6 @@ def read_mtx(path: Path) -> Matrices:
     if not lines.raw.lstrip().lower().startswith(b"%%matrixmarket"):
         return _abaqus(path, lines)
     *shape, n_entries, layout, field, symmetry = mminfo(path)
-    if field == "complex":
-        return _single(path, np.empty((1, 1), dtype=complex))
     square, sign = shape[0] == shape[1], SIGNS.get(symmetry)
     if field not in ("real", "double", "integer") or sign is None or min(shape) < 1 or (sign and not square):
         what = f"{field} {symmetry}, {shape[0]} x {shape[1]}"
@@ -74,19 +72,13 @@ def read_mtx(path: Path) -> Matrices:
         n_entries = (shape[0] * (shape[0] + int(sign))) // 2 if sign else shape[0] * shape[1]
     if len(body) != n_entries:
         raise lines.error(f"the file must hold the {n_entries} entries that it announces", len(body))
-    return _single(path, _assembled(path, body, shape, sign) if coordinate else mmread(path))
-
-
-def _single(path: Path, matrix, labels: list[str] | None = None) -> Matrices:
-    """A matrix called as its file."""
-    return Matrices({path.stem: matrix}, {path.stem: labels} if labels else {})
+    return _assembled(path, body, shape, sign) if coordinate else Matrices({path.stem: mmread(path)})
 
 
 def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
     """Rows of numbers (row, column) below the header; three or five, by default, as Abaqus has them."""
-    mark = "," if n_columns is None else " "
-    rows = (row.replace(mark, " ") for number, row in lines if number > lines.number)
-    rows = [row for row in rows if row[:1] not in "*%"]
+    rows = [row for number, row in lines if number > lines.number and row[:1] not in "*%"]
+    rows = [row.replace(",", " ") for row in rows] if n_columns is None else rows
     count = len(rows[0].split()) if rows else n_columns or 0
     try:
         if count not in ((3, 5) if n_columns is None else (n_columns,)):
@@ -98,13 +90,10 @@ def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
         raise ValueError(f"{lines.title} must hold {what}. Export it again.") from None
 
 
-def _assembled(path: Path, entries: np.ndarray, shape=None, sign: float | None = None):
-    """The matrix of rows, columns (from 1) and values (entry, 3); `sign` of the half that is not stored.
-
-    By default it is square, and symmetric if the entries are in one half.
-    """
+def _assembled(path: Path, entries: np.ndarray, shape=None, sign=None, labels=()) -> Matrices:
+    """The matrix of rows, columns (from 1) and values (entry, 3); `sign` of the half that is not stored."""
     places = entries[:, :2]
-    shape = (int(places.max(initial=0)),) * 2 if shape is None else shape
+    shape = (len(labels) or int(places.max(initial=0)),) * 2 if shape is None else tuple(shape)
     both = (places[:, 0] > places[:, 1]).any() and (places[:, 0] < places[:, 1]).any()
     sign = float(not both) if sign is None else sign
     if max(shape) > max(path.stat().st_size, MOST_ROWS):
@@ -127,18 +116,19 @@ def _assembled(path: Path, entries: np.ndarray, shape=None, sign: float | None =
     if sign:
         rows, columns = np.r_[rows, columns[off]], np.r_[columns, rows[off]]
         values = np.r_[values, sign * values[off]]
-    return sparse.coo_array((values, (rows, columns)), shape=tuple(shape))
+    matrix = sparse.coo_array((values, (rows, columns)), shape=shape)
+    return Matrices({path.stem: matrix}, {path.stem: labels} if labels else {})
 
 
 def _abaqus(path: Path, lines: Lines) -> Matrices:
     """*MATRIX OUTPUT: lines of node, direction, node, direction and value, or of row, column and value."""
     entries = _numbers(lines)
     if entries.shape[1] == 3:
-        return _single(path, _assembled(path, entries))
+        return _assembled(path, entries)
     pairs = np.vstack([entries[:, :2], entries[:, 2:4]])
     freedoms, numbers = np.unique(pairs.astype(np.int64), axis=0, return_inverse=True)
     entries = np.column_stack([numbers.reshape(2, -1).T + 1.0, entries[:, 4]])
-    return _single(path, _assembled(path, entries, (len(freedoms),) * 2), [_label(*one) for one in freedoms])
+    return _assembled(path, entries, labels=[_label(*freedom) for freedom in freedoms])
 
 
 def _label(node, direction) -> str:
@@ -149,12 +139,10 @@ def _label(node, direction) -> str:
 
 def read_calculix(path: Path) -> Matrices:
     """Stiffness (.sti) or mass (.mas): row, column, value; degrees of freedom in the .dof beside it."""
-    entries, beside = _numbers(Lines(path), 3), path.with_suffix(".dof")
-    if not beside.exists():
-        return _single(path, _assembled(path, entries))
-    pairs = [line.split()[0].partition(".") for _, line in Lines(beside)]
+    beside = path.with_suffix(".dof")
+    pairs = [line.split()[0].partition(".") for _, line in Lines(beside)] if beside.exists() else []
     labels = [_label(to_count(node) or 0, to_count(axis) or 0) for node, _, axis in pairs]
-    return _single(path, _assembled(path, entries, (len(labels),) * 2), labels)
+    return _assembled(path, _numbers(Lines(path), 3), labels=labels)
 
 
 def read_harwell_boeing(path: Path) -> Matrices:
@@ -181,13 +169,12 @@ def read_harwell_boeing(path: Path) -> Matrices:
         raise lines.error("the first entries of the columns must rise to the last", starts[-1])
     columns = np.repeat(np.arange(1, n_columns + 1), np.diff(starts).astype(np.int64))
     entries = np.column_stack([rows, columns, values])
-    matrix = _assembled(path, entries, (n_rows, n_columns), float(kind == "RSA"))
-    beside = path.with_suffix(".mapping")  # lines of equation, node and name, UX or ROTZ
-    if not beside.exists():
-        return _single(path, matrix)
-    words = [line.split() for _, line in Lines(beside)]
-    names = {int(row[0]): f"{row[1]}:{ANSYS[row[2]]}" for row in words if row[2:3] and row[2] in ANSYS}
-    return _single(path, matrix, [names.get(k, str(k)) for k in range(1, n_rows + 1)])
+    beside, labels = path.with_suffix(".mapping"), []  # lines of equation, node and name, UX or ROTZ
+    if beside.exists():
+        words = [line.split() for _, line in Lines(beside)]
+        names = {int(row[0]): f"{row[1]}:{ANSYS[row[2]]}" for row in words if row[2:3] and row[2] in ANSYS}
+        labels = [names.get(k, str(k)) for k in range(1, n_rows + 1)]
+    return _assembled(path, entries, (n_rows, n_columns), float(kind == "RSA"), labels)
 
 
 def read_nastran(path: Path) -> Matrices:
@@ -200,9 +187,6 @@ def read_nastran(path: Path) -> Matrices:
         found = bulk.rddmig(str(path))
     labels = {name: [_label(*pair) for pair in frame.index] for name, frame in found.items()}
     return Matrices({name: frame.to_numpy() for name, frame in found.items()}, labels)
-
-
-# --- one way in ------------------------------------------------------------------------------------------
 
 
 def read_matrices(path: str | PathLike) -> Matrices:
@@ -263,15 +247,14 @@ def read_matrices(path: str | PathLike) -> Matrices:
         if getattr(value, "ndim", 0) not in (1, 2) or value.dtype.kind not in "biuf" or 0 in value.shape:
             continue
         if sparse.issparse(value):
-            value = sparse.csc_array(value, dtype=np.float64)
+            floats[name] = value = sparse.csc_array(value, dtype=np.float64)
         else:
             value = np.array(value, dtype=np.float64)
-            value = value.ravel() if 1 in value.shape and value.size > 1 else value  # MATLAB has no vectors
+            floats[name] = value.ravel() if 1 in value.shape and value.size > 1 else value  # as in MATLAB
         if not np.isfinite(value.data if sparse.issparse(value) else value).all():
             raise ValueError(
                 f"{path.name}, `{name}`: entries must be finite numbers, got NaN or infinity. Correct it."
             )
-        floats[name] = value
     if not floats:
         held = listed(sorted(found)) if found else "nothing"
         raise ValueError(
@@ -285,7 +268,7 @@ def _read_table(path: Path) -> Matrices:
     columns = read_columns(path, Request(wrapped=False))
     labels = [label.text for label in columns.labels]
     square = columns.values.shape[0] == columns.values.shape[1]
-    return _single(path, columns.values, labels if square and all(labels) else None)
+    return Matrices({path.stem: columns.values}, {path.stem: labels} if square and all(labels) else {})
 
 
 def _read_npz(path: Path) -> Matrices:
@@ -301,7 +284,7 @@ def _read_npz(path: Path) -> Matrices:
         matrix.check_format(full_check=True)  # SciPy converts a damaged one to another matrix
     matrix = sparse.csc_array(matrix)
     matrix.check_format()
-    return _single(path, matrix)
+    return Matrices({path.stem: matrix})
 
 
 READERS = {

@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features._checks import listed
-from pymc_features.io.reading.labels import Label, Unit, unit_of
+from pymc_features.io.reading.labels import Label, unit_of
 from pymc_features.io.reading.lines import check_size, most_bytes, shortened, to_number
 from pymc_features.io.reading.recording import Channel, Columns, Recording, Request, recording_of
 
-#: Quantity and SI units of numbers that state the step.
-SCALARS = {"dt": ("time", 1.0)} | dict.fromkeys(("fs", "samplingrate", "samplerate"), ("frequency", 1.0))
+#: Units of numbers that state the step.
+SCALARS = {"dt": unit_of("s"), **dict.fromkeys(("fs", "samplingrate", "samplerate"), unit_of("Hz"))}
 DEEPEST = 4  # structures in one another
 HEADER = 128  # bytes
 COMPRESSED, ARRAY = 15, 14  # types of elements
@@ -198,9 +198,6 @@ def _text(value):
     return value.decode() if isinstance(value, bytes) else value
 
 
-# --- channels ---------------------------------------------------------------------------------------
-
-
 def read_matlab(path: Path, request: Request) -> Recording:
     """The vectors of a file, and the rows of its matrices, whose longer side is time; see `read_channels`."""
     file, variables = path.name, load_variables(path)
@@ -275,11 +272,10 @@ def _stated(facts: Mapping, inside: str, file: str, dt: float | None) -> tuple[s
         key = re.sub("[_ ]", "", name.lower().rpartition(".")[2])
         if value.size != 1 or key not in (*SCALARS, "units", "unit"):
             continue
-        number = value.item()
-        if key not in SCALARS:
+        number, unit = value.item(), SCALARS.get(key)
+        if unit is None:
             units |= {number.strip()} if isinstance(number, str) else set()
             continue
-        unit = Unit(*SCALARS[key])
         if isinstance(number, str):
             text, _, word = number.strip().partition(" ")
             number, unit = to_number(text), unit_of(word) if word else unit

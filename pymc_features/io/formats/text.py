@@ -172,13 +172,10 @@ def is_paired(values: np.ndarray, n_columns: int) -> bool:
     return even and all((np.diff(values[:n, ::2].ravel()) > 0.0).all() for n in (100, None))
 
 
-# --- above the numbers ------------------------------------------------------------------------------
-
-
 def _header(lines: Lines) -> tuple[list[tuple[int, str, bool]], int, Layout]:
     """Number, text and whether it is a comment of each line above the numbers; the first of these; how."""
-    header, numbered = [], iter(lines)
-    for (number, line), (_, after) in pairwise(chain(numbered, [(0, "")])):
+    header = []
+    for (number, line), (_, after) in pairwise(chain(lines, [(0, "")])):
         comment = line.startswith(COMMENTS)
         layout = None if comment else layout_of(line)
         if layout is not None and (layout.decimal == "," or layout.stamp):  # the next must be written alike
@@ -186,8 +183,7 @@ def _header(lines: Lines) -> tuple[list[tuple[int, str, bool]], int, Layout]:
             alike = below is not None and (below.separator, below.stamp) == (layout.separator, layout.stamp)
             layout = layout if alike else None
         if layout is not None:
-            layout = _with_fraction(line, after, layout)
-            return header, number, _one_column(lines, number, header, layout)
+            return header, number, _decimal_commas(lines, number, header, layout)
         header.append((number, line.lstrip("#%/ \t") if comment else line, comment))
         if len(header) == MOST_HEADER_LINES:
             break
@@ -212,51 +208,41 @@ def _word_among_numbers(number: int, line: str) -> str:
     return ""
 
 
-def _one_column(lines: Lines, first: int, header, layout: Layout) -> Layout:
-    """The layout of one column with decimal commas, 0,12: below a single label, or with zeros behind them."""
-    if layout != Layout(",", ".", 2):
+def _decimal_commas(lines: Lines, first: int, header, layout: Layout) -> Layout:
+    """The layout if commas do not separate: in 10:00:00,250 and in one column, 0,12, below a single label."""
+    if layout.separator != ",":
         return layout
-    rows = [split(line, ",") for number, line in islice(_rows(lines, first), SAMPLED)]
-    plain = all(len(row) == 2 and not set(".eE") & set("".join(row)) for row in rows)
-    labels = [line for _, line, comment in header if not comment]
-    single = bool(labels) and len(split(labels[-1], ",")) == 1 and len(WORD.findall(labels[-1])) == 1
-    zeros = any(row[1][:1] == "0" and len(row[1]) > 1 or row[0] == "-0" for row in rows if len(row) == 2)
-    return Layout(" ", ",", 1) if plain and (single or zeros) else layout
-
-
-def _with_fraction(line: str, after: str, layout: Layout) -> Layout:
-    """The layout of 10:00:00,250 between commas: seconds that stand twice go on in the cell behind them."""
-    if layout.separator == "," and len(layout.stamp) == 1:
+    rows = [split(line, ",") for _, line in islice(_rows(lines, first), SAMPLED)]
+    if len(layout.stamp) == 1:  # seconds that stand twice go on in the cell behind them
         [k] = layout.stamp
-        cells = ([*split(text, ",")[k : k + 2], "", ""][:2] for text in (line, after))
-        (now, fraction), (then, further) = cells
+        (now, fraction), (then, further) = ([*row[k : k + 2], "", ""][:2] for row in [*rows, []][:2])
         digits = fraction.isdigit() and further.isdigit() and len(fraction) == len(further) in (3, 6)
         if now == then and digits and now.count(":") == 2 and "." not in now and layout.count > k + 2:
             return layout._replace(stamp=(k, k + 1))
+    elif layout == Layout(",", ".", 2) and all(len(row) == 2 for row in rows):
+        plain = all(not set(".eE") & set("".join(row)) for row in rows)
+        labels = [line for _, line, comment in header if not comment]
+        single = bool(labels) and len(split(labels[-1], ",")) == 1 and len(WORD.findall(labels[-1])) == 1
+        zeros = any(part[:1] == "0" and len(part) > 1 or whole == "-0" for whole, part in rows)
+        return Layout(" ", ",", 1) if plain and (single or zeros) else layout
     return layout
 
 
 def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
-    """Refuse a row among the lines above the numbers that is one of them, but for a cell.
-
-    Its first cell is a number in as many columns; or it is illegible, and numbers with a decimal point are
-    half of the cells below the labels, or all but one right above the numbers; or a time stamp stands in it
-    as below. A whole row of numbers above the labels is refused too.
-    """
+    """Refuse a row above the numbers that is one of them, but for a cell, or a whole one above the labels."""
     below_labels = False
     for number, line, comment in header:
         if comment:
             continue
         where, cells = f"{file}, line {number}", layout.cells(line)
         found = layout_of(line) if len(cells) == layout.n_columns else None
-        if found is not None and found[2:] == layout[2:] and found.separator == layout.separator:
+        if found is not None and found._replace(decimal=layout.decimal) == layout:
             raise ValueError(f"{where}: a row of numbers must not stand above the labels. Put these on top.")
         stamped = bool(layout.stamp) and bool(_stamp(cells))
         rest = [cell for cell in cells if not (stamped and STAMP.fullmatch(cell))]
-        numbers = [cell for cell in rest if to_number(cell) is not None]
-        measured, size = sum("." in cell for cell in numbers), len(rest)
-        begins = len(cells) == layout.n_columns > 1 and to_number(cells[0]) is not None
         odd = [cell for cell in rest if to_number(cell) is None]
+        measured = sum("." in cell for cell in rest if to_number(cell) is not None)
+        begins = len(cells) == layout.n_columns > 1 and to_number(cells[0]) is not None
         marks = not re.search("[A-Za-z]", "".join(odd))
         beside = marks and len(rest) == measured + 1 > layout.n_columns  # a mark more
         digits, letters = (sum(map(kind, cells[0])) for kind in (str.isdigit, str.isalpha))
@@ -266,44 +252,38 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
         almost_all = number == first - 1 and 1 < layout.n_columns <= measured + 1 + stamped
         swallowed = almost_all and below_labels and measured > 1
         is_row = (begins or illegible) and (most or almost_all)
-        if is_row or swallowed or (stamped and 2 * measured >= size > 0):
+        if is_row or swallowed or (stamped and 2 * measured >= len(rest) > 0):
             raise not_a_number(where, next(iter(odd), cells[0]))
-        below_labels |= len(cells) == layout.n_columns and not numbers
+        below_labels |= len(cells) == layout.n_columns and len(odd) == len(rest)
 
 
 def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[Label], bool, str | None]:
     """What stands above each column, whether it is more than a title, and the unit of all without labels."""
+
+    def is_of_units(cells: list[str]) -> bool:
+        known = all(unit_of(cell.strip("[]()")) or cell in NO_UNIT for cell in cells)
+        return cells[0] == "TS" or (any(cells) and known)
+
     named = [cells for _, line, _ in header if (cells := _named(line, layout))]
-    units = [
-        cells
-        for cells in named
-        if cells[0] == "TS"
-        or (any(cells) and all(unit_of(cell.strip("[]()")) or cell in NO_UNIT for cell in cells))
-    ]
+    units = [cells for cells in named if is_of_units(cells)]
     texts = [
-        cells for cells in named if cells not in units and not any(to_number(c) is not None for c in cells)
+        cells for cells in named if cells not in units and all(to_number(cell) is None for cell in cells)
     ]
     if not texts:
         found = (unit for _, line, _ in header for unit in BRACKETS.findall(line))
         unit = next((unit.strip() for unit in found if known_factor(unit) is not None), None)
         return [Label("", "")] * layout.n_columns, bool(units), unit
-    stated = [
-        next((cells[k].strip("[]()") for cells in units if cells[k] not in NO_UNIT), None)
-        for k in range(layout.n_columns)
-    ]
     rows = [[Label.of(text) for text in cells] for cells in texts]
     chosen = max(range(len(rows)), key=lambda k: (sum(label.role is not None for label in rows[k]), k))
-    labels = [Label.of(text, unit) for text, unit in zip(texts[chosen], stated, strict=True)]
-    for above in reversed(rows):  # a unit may stand in another line
-        labels = [
-            label if label.unit is not None else label._replace(unit=other.unit)
-            for label, other in zip(labels, above, strict=True)
-        ]
-    told = any(label.unit is not None or label.role is not None for label in labels)
+    labels = []
+    for k, text in enumerate(texts[chosen]):
+        stated = (cells[k].strip("[]()") for cells in units if cells[k] not in NO_UNIT)
+        elsewhere = (row[k].unit for row in reversed(rows) if row[k].unit is not None)
+        label = Label.of(text, next(stated, None))
+        labels.append(label if label.unit is not None else label._replace(unit=next(elsewhere, None)))
     is_title = all(comment for _, line, comment in header if _named(line, layout) == texts[chosen])
-    own = any(label.unit is not None for label in labels) or (
-        layout.separator != " " and (told or not is_title)
-    )
+    told = any(label.role is not None for label in labels) or not is_title
+    own = any(label.unit is not None for label in labels) or (layout.separator != " " and told)
     return labels, own, None
 
 
@@ -315,9 +295,6 @@ def _named(line: str, layout: Layout) -> list[str] | None:
         return [*own[: layout.stamp[0]], *own[layout.stamp[1] :]]
     ways = [own, *(split(line, other) for other in SEPARATORS), WORD.findall(line)]
     return next((labels for labels in ways if len(labels) == layout.n_columns), None)
-
-
-# --- numbers ----------------------------------------------------------------------------------------
 
 
 def _rows(lines: Lines, first: int):
@@ -395,25 +372,21 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
 
 def _resolution(rows: list[str], layout: Layout, index: int, largest: float) -> float:
     """Resolution of a printed column, from decimals and significant digits of some of its cells."""
+    cells = [layout.cells(row.strip())[index : index + 1] for row in rows]
+    cells = [cell for found in cells for cell in found]
+    if layout.stamp and index == layout.stamp[0]:
+        stamps = (STAMP.fullmatch(cell) for cell in cells)
+        return 10.0 ** min((1 - len(stamp["fraction"] or ".") for stamp in stamps if stamp), default=0)
     least, digits = 0, 1
-    for row in rows:
-        cells = layout.cells(row.strip())
-        cell = cells[index] if index < len(cells) else "0"
-        if layout.stamp and index == layout.stamp[0]:
-            stamp = STAMP.fullmatch(cell)
-            cell = (stamp and stamp["fraction"] or ".").replace(",", ".")
-            least = min(least, 1 - len(cell))
-        elif to_number(cell) is not None:
+    for cell in cells:
+        if to_number(cell) is not None:
             mantissa, _, power = cell.lower().replace("d", "e").partition("e")
             whole, _, decimals = mantissa.lstrip("+-").partition(".")
             least = min(least, max(int(power or 0) - len(decimals), -300))
             digits = max(digits, len((whole + decimals).lstrip("0")))
-    if layout.stamp and index == layout.stamp[0] or largest == 0.0:
+    if largest == 0.0:
         return 10.0**least
     return max(10.0**least, 10.0 ** (np.floor(np.log10(largest)) - digits + 1))
-
-
-# --- time stamps ------------------------------------------------------------------------------------
 
 
 def seconds_of(texts: list[str], file: str) -> tuple[float, np.ndarray]:

@@ -8,9 +8,6 @@ import numpy as np
 from pymc_features._checks import listed, warn_caller
 from pymc_features.exceptions import ChannelWarning
 
-_SIMULTANEOUS = 0.05  # of a sample; what clocks may differ by without a word
-_DRIFT = 0.5  # of a sample, from the first to the last sample in common
-
 
 class Clock(NamedTuple):
     """When the samples of a channel were taken."""
@@ -36,13 +33,17 @@ def even_clock(
 ) -> tuple[float | None, np.ndarray]:
     """Sampling interval [s] of a clock (time,), and the number of each of its samples, from 0 (time,).
 
-    Of its resolution, `quantum` [s], up to a quarter of the step is tolerated as rounding, unless the step is
-    a multiple of it: then rounding cannot make steps uneven. A thousandth of the step is tolerated anyway.
     With `gaps` half of the samples may be missing, at most. With `dt` [s], the caller's, steps may be uneven,
     which is a warning, and None is returned. `where` is how a message calls the place of a row.
     """
-    check_increasing(times, where)
     steps = np.diff(times)
+    if not (steps > 0.0).all():
+        row = int(np.argmin(steps > 0.0)) + 1
+        raise ValueError(
+            f"{where(row)}: time must increase, it goes from {times[row - 1]:.10g} s to {times[row]:.10g} s. "
+            "Cut the file there; if this is no time, name the column with the times by `clock`, or the "
+            "acceleration by `column` and pass `dt`."
+        )
     long = 1.5 * (steps.min() if steps.max() < 1.5 * steps.min() else np.median(steps))
     usual = float(steps[steps < long].mean())  # of printed times no step is exact
     missing = np.rint(steps / usual)
@@ -59,6 +60,7 @@ def even_clock(
             )
         numbers = np.append(0, np.cumsum(missing.astype(np.int64)))
     mean = (times[-1] - times[0]) / numbers[-1]
+    # rounding cannot make steps uneven that are multiples of the resolution, `quantum` [s]
     tolerance = 1e-3 * mean + 4.0 * np.spacing(np.abs(times).max())
     multiple = quantum > 0.0 and abs(mean / quantum - round(mean / quantum)) < 1e-6
     if quantum <= mean / 4.0 and not multiple:
@@ -74,23 +76,12 @@ def even_clock(
     return float(f"{mean:.10g}"), numbers
 
 
-def check_increasing(times: np.ndarray, where: Callable[[int], str]) -> None:
-    """Refuse times (time,) [s] that stand still or go back."""
-    if not (np.diff(times) > 0.0).all():
-        row = int(np.argmax(~(np.diff(times) > 0.0))) + 1
-        raise ValueError(
-            f"{where(row)}: time must increase, it goes from {times[row - 1]:.10g} s to {times[row]:.10g} s. "
-            "Cut the file there; if this is no time, name the column with the times by `clock`, or the "
-            "acceleration by `column` and pass `dt`."
-        )
-
-
 def aligned(rows: list[np.ndarray], clocks: list[Clock]) -> tuple[np.ndarray, float, float]:
     """Values (sensor, time) that all clocks have, by whole samples; step and start [s], 0 without clocks."""
     first = clocks[0]
     for clock in clocks[1:]:
         n = min(first.n_times, clock.n_times)
-        if abs(clock.dt - first.dt) * (n - 1) > _DRIFT * first.dt:
+        if abs(clock.dt - first.dt) * (n - 1) > 0.5 * first.dt:
             raise ValueError(
                 f"Sensors must have a common clock, the step is {first.dt:.10g} s in {first.file} and "
                 f"{clock.dt:.10g} s in {clock.file}. Pass `resample`, the rate [Hz] of all."
@@ -113,7 +104,7 @@ def aligned(rows: list[np.ndarray], clocks: list[Clock]) -> tuple[np.ndarray, fl
     if n_times < 2:
         raise no_common_time(clocks)
     for clock, late in dict(zip(clocks, starts + skipped * dt - start, strict=True)).items():
-        if abs(late) > _SIMULTANEOUS * dt + 2.0 * clock.quantum:
+        if abs(late) > 0.05 * dt + 2.0 * clock.quantum:
             warn_caller(
                 f"{clock.file}: its samples come {1e3 * abs(late):.3g} ms ({abs(late) / dt:.2g} samples) "
                 f"{'after' if late > 0.0 else 'before'} those of {first.file} by the clocks; they are taken "

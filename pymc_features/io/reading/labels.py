@@ -163,9 +163,6 @@ class Label(NamedTuple):
         return cls(text, name or text, unit or own)
 
 
-# --- units and steps: what a file states, what the caller says, and which one counts ------------------------
-
-
 def choices(quantity: str) -> str:
     """What `units` may be, as a message lists it."""
     names = ", ".join(f'"{name}"' for name in list(UNITS[quantity])[:7])
