@@ -7,25 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pymc_features._checks import (
-    LARGEST_COUNT,
-    SAMPLING_INTERVAL,
-    as_list,
-    check_choice,
-    check_finite,
-    check_flag,
-    check_integer,
-    check_number,
-    check_path,
-    check_positive,
-    check_step,
-    is_number,
-    listed,
-    message,
-    shown,
-    single,
-    step_or_rate,
-)
+from pymc_features import _checks as checks
 from pymc_features.io.formats import read_source
 from pymc_features.io.formats.libraries import is_source
 from pymc_features.io.reading.clock import Clock, aligned, no_common_time, without_clocks
@@ -135,7 +117,7 @@ def read_channels(
     ...     read_channels(path).sel(sensor="roof").values
     array([0.   , 2.943, 0.981])
     """
-    asked = Request(step_or_rate(dt, fs), clock, clock_units, skip, wrapped, units=units)
+    asked = Request(checks.step_or_rate(dt, fs), clock, clock_units, skip, wrapped, units=units)
     return _read(files, columns, checked(asked), resample)
 
 
@@ -191,27 +173,27 @@ def read_channels_with_gaps(
     array([[ 0.1,  0. , -0.2,  nan,  0.1],
            [ 0. ,  nan,  0.1,  nan,  0.2]])
     """
-    asked = Request(step_or_rate(dt, fs), clock, clock_units, skip, wrapped, gaps=True, units=units)
+    asked = Request(checks.step_or_rate(dt, fs), clock, clock_units, skip, wrapped, gaps=True, units=units)
     return _read(files, columns, checked(asked), resample)
 
 
 def checked(asked: Request) -> Request:
     """What the caller says of all files, or of the file of one sensor, checked."""
-    check_choice(asked.quantity, "quantity", QUANTITIES)
+    checks.check_choice(asked.quantity, "quantity", QUANTITIES)
     if asked.wrapped is not None:
-        check_flag(asked.wrapped, "wrapped", "Leave it out for what the file shows.")
+        checks.check_flag(asked.wrapped, "wrapped", "Leave it out for what the file shows.")
     if asked.clock is True:
         raise TypeError("`clock` must be a column, False or None, got True.")
     if asked.clock is False and asked.dt is None:
-        raise ValueError(f"`dt` must be given with clock=False. {SAMPLING_INTERVAL}")
+        raise ValueError(f"`dt` must be given with clock=False. {checks.SAMPLING_INTERVAL}")
     if asked.sensitivity is not None:
         sensitivity_of(asked.sensitivity, asked.quantity)
     seconds = asked.clock_units
     return asked._replace(
-        dt=None if asked.dt is None else check_step(asked.dt),
+        dt=None if asked.dt is None else checks.check_step(asked.dt),
         clock=asked.clock if asked.clock in (None, False) else check_column(asked.clock, "clock"),
         clock_units=None if seconds is None else unit_factor(seconds, "time", "clock_units"),
-        skip=check_integer(asked.skip, "skip", least=0, advice="It counts rows at the start."),
+        skip=checks.check_integer(asked.skip, "skip", least=0, advice="It counts rows at the start."),
     )
 
 
@@ -223,7 +205,7 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     from pymc_features.signals.check import check_each
 
     if resample is not None:
-        resample = check_positive(resample, "resample", "Pass the sampling rate in Hz.")
+        resample = checks.check_positive(resample, "resample", "Pass the sampling rate in Hz.")
     kept, names, rows, clocks, quantities, delays = {}, [], [], [], [], []
     for label, source, own in _sensors(files, columns, request, bool(resample)):
         key = id(source) if is_source(source) else str(source), own.of_file
@@ -280,9 +262,9 @@ def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, floa
     if stop <= start:
         raise no_common_time(clocks)
     n_times = (stop - start) * rate * (1.0 + 1e-12) + 1.0
-    if not 2.0 <= n_times < LARGEST_COUNT:
+    if not 2.0 <= n_times < checks.LARGEST_COUNT:
         what = f"a rate that makes 2 samples or more of the {stop - start:.4g} s that all have in common"
-        raise ValueError(message("resample", what, f"{rate:g} Hz"))
+        raise ValueError(checks.message("resample", what, f"{rate:g} Hz"))
     times = np.arange(int(n_times)) / rate
     found = []
     for row, clock in zip(rows, clocks, strict=True):
@@ -296,15 +278,15 @@ def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, floa
 
 def _sensors(files, columns, request: Request, resampled: bool) -> list[tuple[str, object, Request]]:
     """Name and source of each entry of `files`, and what is said of it."""
-    several = list(columns.values()) if isinstance(columns, Mapping) else as_list(columns)
+    several = list(columns.values()) if isinstance(columns, Mapping) else checks.as_list(columns)
     picked = [columns] if several is None and columns is not None else several
     if isinstance(files, Mapping):
         entries = [(str(name), source) for name, source in files.items()]
     else:
-        sources = [files] if isinstance(files, str | PathLike) or is_source(files) else as_list(files)
+        sources = [files] if isinstance(files, str | PathLike) or is_source(files) else checks.as_list(files)
         if sources is None:
             what = "a path, several, or a mapping of sensor names to paths"
-            raise TypeError(message("files", what, shown(files)))
+            raise TypeError(checks.message("files", what, checks.shown(files)))
         entries = [(None, source) for source in sources]
     for name, some in (("files", entries), ("columns", picked)):
         if some == []:
@@ -316,7 +298,7 @@ def _sensors(files, columns, request: Request, resampled: bool) -> list[tuple[st
         if isinstance(source, Mapping):
             source, own = _of_sensor(name, source, request, resampled)
         if name is None:
-            name = "" if is_source(source) else check_path(source, "files").stem
+            name = "" if is_source(source) else checks.check_path(source, "files").stem
         found.append((name, source, own))
     return found
 
@@ -326,10 +308,10 @@ def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> tuple[
     unknown = [key for key in said if key not in OF_SENSOR]
     if unknown or "file" not in said:
         what = f"`file` and any of {', '.join(OF_SENSOR[1:])} of {name!r}"
-        raise ValueError(message("files", what, listed(unknown or list(said))))
-    numbers = {key: check_number(said[key], key) for key in ("scale", "delay") if key in said}
+        raise ValueError(checks.message("files", what, checks.listed(unknown or list(said))))
+    numbers = {key: checks.check_number(said[key], key) for key in ("scale", "delay") if key in said}
     for key, value in numbers.items():
-        check_finite(np.float64(value), key)
+        checks.check_finite(np.float64(value), key)
     if numbers.get("scale") == 0.0:
         raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
     own = request._replace(**{key: said[key] for key in OF_ALL if key in said}, **numbers)
@@ -338,14 +320,14 @@ def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> tuple[
             raise ValueError(
                 f"`resample` must be given with `anchors` of {name!r}, got none. Pass a rate [Hz]."
             )
-        pairs = [as_list(pair) or [] for pair in as_list(said["anchors"]) or []]
-        pairs = [[check_number(value, "anchors") for value in pair] for pair in pairs]
+        pairs = [checks.as_list(pair) or [] for pair in checks.as_list(said["anchors"]) or []]
+        pairs = [[checks.check_number(value, "anchors") for value in pair] for pair in pairs]
         if np.shape(pairs) != (2, 2) or not (np.diff(pairs, axis=0) > 0.0).all():
             what = "two pairs of a reading of the clock and its true time in seconds, the later second"
-            raise ValueError(message("anchors", what, shown(said["anchors"])))
+            raise ValueError(checks.message("anchors", what, checks.shown(said["anchors"])))
         own = own._replace(anchors=pairs)
     if "fs" in said:
-        own = own._replace(dt=step_or_rate(said.get("dt"), said["fs"]))
+        own = own._replace(dt=checks.step_or_rate(said.get("dt"), said["fs"]))
     if said.get("column") is not None:
         own = own._replace(columns=[check_column(said["column"], "column")])
     return said["file"], checked(own)
@@ -353,9 +335,9 @@ def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> tuple[
 
 def check_column(column, name: str) -> int | str:
     """The index or the name of a column."""
-    value = single(column)
-    if not (isinstance(value, str) or (is_number(value) and isinstance(value, Integral))):
-        raise TypeError(message(name, "an index or a name", shown(column)))
+    value = checks.single(column)
+    if not (isinstance(value, str) or (checks.is_number(value) and isinstance(value, Integral))):
+        raise TypeError(checks.message(name, "an index or a name", checks.shown(column)))
     return value if isinstance(value, str) else int(value)
 
 
@@ -372,7 +354,7 @@ def _sensor_names(found, files, columns) -> list[str]:
             names += own if alone else [f"{label} {name}" for name in own]
     if len(set(names)) < len(names):
         raise ValueError(
-            f"Sensors must have different names, got {listed(names)}. Pass `files` or `columns` as a "
+            f"Sensors must have different names, got {checks.listed(names)}. Pass `files` or `columns` as a "
             "mapping of names."
         )
     return names

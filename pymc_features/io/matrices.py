@@ -23,14 +23,7 @@ from scipy.io import mminfo, mmread
 from pymc_features._checks import check_file, listed
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.formats.text import read_columns
-from pymc_features.io.reading.lines import (
-    Lines,
-    by_library,
-    check_size,
-    column_width,
-    shortened,
-    to_count,
-)
+from pymc_features.io.reading.lines import Lines, by_library, check_size, column_width, shortened, to_count
 from pymc_features.io.reading.recording import Request
 
 MOST_ROWS = 10**6  # of a sparse matrix with fewer bytes in its file

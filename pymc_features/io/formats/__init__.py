@@ -3,16 +3,7 @@
 from functools import partial
 
 from pymc_features._checks import check_file
-from pymc_features.io.formats.libraries import (
-    UNIVERSAL,
-    is_source,
-    kind_of,
-    read_parquet,
-    read_tdms,
-    read_universal,
-    read_waveforms,
-    recording_in,
-)
+from pymc_features.io.formats import libraries
 from pymc_features.io.formats.matlab import read_matlab
 from pymc_features.io.formats.strong_motion import LAYOUTS, read_strong_motion
 from pymc_features.io.formats.text import read_text
@@ -43,12 +34,12 @@ text | any other | names and units of a header, step of a column of times; pass 
 #: How the files of a format begin, and what reads them.
 READERS = {
     "MATLAB": (lambda opening: opening.suffix == ".mat", read_matlab),
-    "TDMS, by npTDMS": (b"TDSm", read_tdms),
-    "Parquet, by pandas": (b"PAR1", read_parquet),
+    "TDMS, by npTDMS": (b"TDSm", libraries.read_tdms),
+    "Parquet, by pandas": (b"PAR1", libraries.read_parquet),
     "HDF5": (rb"\x89HDF\r\n\x1a\n", read_matlab),
     **{name: (begins, partial(read_strong_motion, name)) for name, (begins, _) in LAYOUTS.items()},
-    "Universal File 58, by pyuff": (UNIVERSAL, read_universal),
-    "SAC, MiniSEED, TSPAIR and SLIST, by ObsPy": (kind_of, read_waveforms),
+    "Universal File 58, by pyuff": (libraries.UNIVERSAL, libraries.read_universal),
+    "SAC, MiniSEED, TSPAIR and SLIST, by ObsPy": (libraries.kind_of, libraries.read_waveforms),
     "text": (b"", read_text),
 }
 ROWS = [row.split(" | ") for row in TABLE.splitlines()]
@@ -57,12 +48,9 @@ TEXT = FORMATS[-1]
 
 
 def read_source(source, request: Request, name: str = "files") -> Recording:
-    """The channels of a file, by its first lines, or of what is in memory already.
-
-    No file leaves the library with another error than ours.
-    """
-    if is_source(source):
-        return recording_in(source, request)
+    """The channels of a file, by its first lines, or of what is in memory; with our errors alone."""
+    if libraries.is_source(source):
+        return libraries.recording_in(source, request)
     path = check_file(source, name)
     opening = Opening.of(path)
     entry = next(entry for entry in FORMATS if opening.begins(entry.begins))

@@ -33,8 +33,6 @@ from pymc_features.io.reading.recording import (
     recording_of,
 )
 
-# --- Universal Files, by pyuff ----------------------------------------------------------------------
-
 NAME = "Universal File"
 FUNCTIONS = "58"  # the data set of measured functions
 #: Numbers of the data sets that are in use, by the University of Cincinnati's list.
@@ -149,17 +147,15 @@ def _check_text(path: Path, raw: bytes) -> None:
                 warn_of_widths(path.name, lines[first + 13 : last])
 
 
-# --- seismograms, by ObsPy --------------------------------------------------------------------------
-
 VERSIONS = (6, 7)  # of the SAC header
-SAC_HEADER, SAC_FACTS = 632, "f300xi8xi"  # bytes of it; step, and behind what is skipped version and count
+SAC = "f300xi8xi"  # step, and behind what is skipped version and count, of 632 bytes in all
 
 
 def _is_sac(opening: Opening) -> bool:
     """A header of 632 bytes, in either order, with its version, a step and the number of values."""
-    if opening.lines or len(opening.head) < SAC_HEADER:
+    if opening.lines or len(opening.head) < 632:
         return False
-    found = [struct.unpack_from(order + SAC_FACTS, opening.head) for order in "<>"]
+    found = [struct.unpack_from(order + SAC, opening.head) for order in "<>"]
     return any(step > 0.0 and version in VERSIONS and count > 0 for step, version, count in found)
 
 
@@ -239,9 +235,6 @@ def stamped_steps(path: Path, stream) -> dict[str, float]:
     return found
 
 
-# --- loggers and tables: TDMS by npTDMS, Parquet by pandas, HDF5 by h5py ----------------------------
-
-
 def read_tdms(path: Path, request: Request) -> Recording:
     """All channels of all groups, scaled as their properties say."""
     with by_library("npTDMS", "daq", path, "TDMS"):
@@ -276,8 +269,6 @@ def read_parquet(path: Path, request: Request) -> Recording:
         frame = pd.read_parquet(path)
     return recording_in(frame, request)._replace(file=path.name)
 
-
-# --- in memory: pandas, xarray, ObsPy, and the dicts of SEP005 ---------------------------------------
 
 SEP005 = "data", "name", "unit_str"
 

@@ -23,15 +23,8 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features._checks import warn_caller
-from pymc_features.io.reading.labels import known_factor
-from pymc_features.io.reading.lines import (
-    Lines,
-    column_width,
-    finite,
-    to_count,
-    to_number,
-    warn_of_widths,
-)
+from pymc_features.io.reading.labels import unit_of
+from pymc_features.io.reading.lines import Lines, column_width, finite, to_count, to_number, warn_of_widths
 from pymc_features.io.reading.recording import Channel, Recording, Request, even_or_times
 
 NO_SPECTRA = "the file must hold accelerations", "spectra (V3)", "Read the V2 file."
@@ -55,7 +48,7 @@ def number_after(text: str, phrase: str) -> float | None:
 def unit_in(text: str) -> str | None:
     """The first unit of acceleration among the words of a line, "cm/sec2" for example."""
     words = (word.strip(".;:") for word in re.split(r"[()=,\s]", text))
-    return next((word for word in words if known_factor(word) is not None), None)
+    return next((word for word in words if unit_of(word) and unit_of(word).quantity == "acceleration"), None)
 
 
 def channel(lines: Lines, name: str, values: np.ndarray, unit, peak=None, factor=1.0, **place) -> Channel:
@@ -138,7 +131,7 @@ def read_at2(lines: Lines) -> Iterator[Channel]:
             f"{lines.title} states its step, but no number of values (NPTS) to compare with. Is it whole?"
         )
     unit, words = _UNITS.search(text), _ACCELERATION_IN.search(text)
-    if unit is None and words is not None and known_factor(words[1]) is not None:
+    if unit is None and words is not None and unit_in(words[1]):
         unit = words
     dated = [line for line in header if _DATE.search(line)]
     lines.event = dated[0] if len(dated) == 1 else None

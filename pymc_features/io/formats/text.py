@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.io.reading.labels import BRACKETS, WORD, Label, known_factor, unit_of
+from pymc_features.io.reading.labels import BRACKETS, WORD, Label, unit_of
 from pymc_features.io.reading.lines import Lines, finite, not_a_number, to_number
 from pymc_features.io.reading.recording import Columns, Recording, Request, clock_column, recording_of
 
@@ -266,13 +266,12 @@ def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[L
 
     named = [cells for _, line, _ in header if (cells := _named(line, layout))]
     units = [cells for cells in named if is_of_units(cells)]
-    texts = [
-        cells for cells in named if cells not in units and all(to_number(cell) is None for cell in cells)
-    ]
+    named = [cells for cells in named if cells not in units]
+    texts = [cells for cells in named if all(to_number(cell) is None for cell in cells)]
     if not texts:
-        found = (unit for _, line, _ in header for unit in BRACKETS.findall(line))
-        unit = next((unit.strip() for unit in found if known_factor(unit) is not None), None)
-        return [Label("", "")] * layout.n_columns, bool(units), unit
+        found = (unit.strip() for _, line, _ in header for unit in BRACKETS.findall(line))
+        known = (unit for unit in found if unit_of(unit) and unit_of(unit).quantity == "acceleration")
+        return [Label("", "")] * layout.n_columns, bool(units), next(known, None)
     rows = [[Label.of(text) for text in cells] for cells in texts]
     chosen = max(range(len(rows)), key=lambda k: (sum(label.role is not None for label in rows[k]), k))
     labels = []

@@ -6,15 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import (
-    SAMPLING_INTERVAL,
-    check_positive,
-    is_number,
-    message,
-    shown,
-    single,
-    warn_caller,
-)
+from pymc_features._checks import SAMPLING_INTERVAL, check_positive, message, shown, warn_caller
 
 #: Acceleration of gravity [m/s^2] behind the unit "g". The reference results that records of this
 #: field are compared with use 9.81; who wants 9.80665 passes that number as `units`.
@@ -169,28 +161,21 @@ def choices(quantity: str) -> str:
     return f"{names}, or a number in {SI.get(quantity, 's')} per file unit"
 
 
-def known_factor(unit: str) -> float | None:
-    """Acceleration [m/s^2] of one `unit`, or None where it is none of acceleration."""
-    found = unit_of(unit)
-    return found.factor if found is not None and found.quantity == "acceleration" else None
-
-
 def unit_factor(units, quantity: str = "acceleration", name: str = "units") -> float:
     """SI units in one file unit of a quantity, in any usual spelling, or the factor itself, positive."""
-    known = unit_of(units) if isinstance(units, str) else None
-    if known is not None and known.quantity == quantity:
-        return known.factor
-    if not is_number(single(units)):
-        error = ValueError if isinstance(units, str) else TypeError
-        raise error(message(name, f"one of {choices(quantity)}", shown(units)))
-    return check_positive(units, name, f"Pass the {SI.get(quantity, 's')} per file unit.")
+    if not isinstance(units, str):
+        return check_positive(units, name, f"Pass the {SI.get(quantity, 's')} per file unit.")
+    known = unit_of(units)
+    if known is None or known.quantity != quantity:
+        raise ValueError(message(name, f"one of {choices(quantity)}", shown(units)))
+    return known.factor
 
 
 def sensitivity_of(sensitivity, quantity: str) -> float:
     """Volts in one SI unit of a quantity, of a number or a text such as "100 mV/g"."""
-    if is_number(single(sensitivity)):
+    if not isinstance(sensitivity, str):
         return check_positive(sensitivity, "sensitivity", f"Pass the V per {SI[quantity]}.")
-    if isinstance(sensitivity, str) and (found := _SENSITIVITY.fullmatch(sensitivity)):
+    if found := _SENSITIVITY.fullmatch(sensitivity):
         number, voltage, unit = float(found[1]), unit_of(found[2]), unit_of(found[3])
         if number > 0.0 and voltage and unit and (voltage.quantity, unit.quantity) == ("voltage", quantity):
             return number * voltage.factor / unit.factor
@@ -209,24 +194,32 @@ def system_of_units(text: str) -> tuple[float, float, float]:
     return found["force"], found["displacement"], found["mass"]
 
 
-def resolve_units(units, stated: str | None, source: str, quantity: str = "acceleration") -> float:
-    """Factor [SI per file unit] by the file, or by the argument where the file does not say it."""
-    known = unit_of(stated or "")
-    if known is not None and known.quantity != quantity:
-        advice = f"Pass the columns that are {PLURALS[quantity]}."
+def resolve_units(channel, request, source: str) -> float:
+    """SI units in one unit of a channel, by its file, or by the request where that does not say it."""
+    quantity, units, stated = request.quantity, request.units, channel.unit
+    said, by = channel.quantity, "data set"
+    known, voltage = unit_of(stated or ""), request.sensitivity is not None
+    if said is None and stated is None and not voltage and role_of(channel.name) in MEASURED:
+        said, by = role_of(channel.name), "label"
+    if said not in (None, quantity):
+        raise ValueError(
+            f"{source} must hold {PLURALS[quantity]}, the {by} {channel.name!r} says {said}. Pass the "
+            "columns that are, or rename it."
+        )
+    measured = "voltage" if voltage else quantity
+    if known is not None and known.quantity != measured:
+        advice = f"Pass the columns that are {PLURALS[measured]}."
         if known.quantity == "voltage":
             advice = f'Pass `sensitivity`, such as "100 mV/({next(iter(UNITS[quantity]))})".'
         beside = "" if units is None else f", beside units={shown(units)}"
         raise ValueError(
-            f"{source} must hold {PLURALS[quantity]}, it states {stated!r}, a unit of "
+            f"{source} must hold {PLURALS[measured]}, it states {stated!r}, a unit of "
             f"{known.quantity}{beside}. {advice}"
         )
-    if units is None:
-        if known is None:
-            said = "does not state them" if stated is None else f"states {stated!r}, which is no known unit"
-            raise ValueError(f"`units` must be given, {source} {said}. Pass one of {choices(quantity)}.")
-        return known.factor
-    factor = unit_factor(units, quantity)
+    if units is None and known is None:
+        said = "does not state them" if stated is None else f"states {stated!r}, which is no known unit"
+        raise ValueError(f"`units` must be given, {source} {said}. Pass one of {choices(measured)}.")
+    factor = known.factor if units is None else unit_factor(units, measured)
     if known is not None and not np.isclose(factor, known.factor, rtol=0.01, atol=0.0):  # 9.80665 is one g
         raise ValueError(
             f"`units` must be those of the file, {source} states {stated!r}, got {shown(units)}. Leave "
@@ -234,23 +227,17 @@ def resolve_units(units, stated: str | None, source: str, quantity: str = "accel
         )
     if known is None and stated is not None:
         warn_caller(f"{source} states the units {stated!r}; the argument units={units!r} is used.")
-    return factor
+    return factor / sensitivity_of(request.sensitivity, quantity) if voltage else factor
 
 
 def resolve_dt(dt: float | None, stated: float | None, source: str) -> float:
     """Sampling interval [s]: the argument wins, the file's statement is the fallback."""
     stated = stated if stated is not None and stated > 0.0 else None  # headers with a step of 0 state none
-    if dt is None:
-        if stated is None:
-            raise ValueError(
-                f"`dt` must be given, {source} does not state the time step. {SAMPLING_INTERVAL}"
-            )
-        if stated >= 1.0:  # a counter or milliseconds, silently 1000 times too slow
-            raise ValueError(
-                f"`dt` must be given, {source} states a time step of {stated:g}, too long for "
-                f"seconds. {SAMPLING_INTERVAL}"
-            )
-        return stated
-    if stated is not None and not np.isclose(dt, stated, rtol=1e-3, atol=0.0):
+    if dt is None and (stated is None or stated >= 1.0):  # a counter or milliseconds, 1000 times too slow
+        said = "does not state the time step"
+        if stated is not None:
+            said = f"states a time step of {stated:g}, too long for seconds"
+        raise ValueError(f"`dt` must be given, {source} {said}. {SAMPLING_INTERVAL}")
+    if dt is not None and stated is not None and not np.isclose(dt, stated, rtol=1e-3, atol=0.0):
         warn_caller(f"{source} states a time step of {stated:g} s; the argument dt={dt:g} s is used.")
-    return dt
+    return stated if dt is None else dt

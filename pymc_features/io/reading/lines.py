@@ -41,10 +41,7 @@ def check_size(path: Path, n_bytes: Iterable[int]) -> None:
 
 
 def decoded(raw: bytes) -> str:
-    """Text of a file in UTF-8, UTF-16 or Latin-1 with any line ends (LF, CR LF, CR CR LF, CR).
-
-    UTF-16 is known by its mark, or by zeros in every other byte.
-    """
+    """Text of a file in UTF-8, UTF-16 (with its mark or not) or Latin-1, line feeds for any line ends."""
     even, odd = raw[:SAMPLE:2], raw[1:SAMPLE:2]
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         text = raw.decode("utf-16", errors="replace")
@@ -117,11 +114,7 @@ class Lines:
     def numbers(
         self, count: int, what: str, width: int = 0, *, whole: bool = False, per_line: int = 0
     ) -> np.ndarray:
-        """Numbers (count,) from as many lines as it takes, between blanks or in columns of some characters.
-
-        In columns neighbours may touch, as Fortran writes them; only the last line may be shorter than the
-        first. `whole`: the numbers are counts.
-        """
+        """Numbers (count,) from as many lines as it takes, between blanks or in columns, which may touch."""
         values, self.announced = array("d"), f"{count // (per_line or 1)} {what}"
         while len(values) < count:
             line, where = self.take(self.announced).rstrip(), self.where()

@@ -14,16 +14,7 @@ import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown, warn_caller
 from pymc_features.io.reading.clock import Clock, even_clock
-from pymc_features.io.reading.labels import (
-    MEASURED,
-    NO_HISTORY,
-    PLURALS,
-    Label,
-    resolve_dt,
-    resolve_units,
-    role_of,
-    sensitivity_of,
-)
+from pymc_features.io.reading.labels import NO_HISTORY, Label, resolve_dt, resolve_units
 from pymc_features.io.reading.lines import decoded
 
 OPENING = 16_384  # bytes
@@ -156,15 +147,7 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
     """History (time,) of a channel in SI units at an even step, and its clock."""
     if channel.problem:
         raise ValueError(channel.problem)
-    file, skip, quantity = recording.file, 0 if recording.skipped else request.skip, request.quantity
-    voltage, said, by = request.sensitivity is not None, channel.quantity, "data set"
-    if said is None and channel.unit is None and not voltage and role_of(channel.name) in MEASURED:
-        said, by = role_of(channel.name), "label"
-    if said not in (None, quantity):
-        raise ValueError(
-            f"{file} must hold {PLURALS[quantity]}, the {by} {channel.name!r} says {said}. Pass the columns "
-            "that are, or rename it."
-        )
+    file, skip = recording.file, 0 if recording.skipped else request.skip
     if channel.times is not None and request.dt is None:
         raise ValueError(
             f"`dt` must be given, the times of {file} ({channel.name}) are uneven, "
@@ -172,9 +155,7 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
             "values are joined by straight lines and read off at this step."
         )
     dt = resolve_dt(request.dt, channel.dt, file)
-    factor = resolve_units(request.units, channel.unit, file, "voltage" if voltage else quantity)
-    if voltage:
-        factor /= sensitivity_of(request.sensitivity, quantity)
+    factor = resolve_units(channel, request, file)
     values = (channel.values if channel.times is None else _interpolated(channel, dt, file))[skip:]
     sizes = np.abs(values)
     largest = np.nanmax(sizes, initial=0.0)
