@@ -10,7 +10,7 @@ import numpy as np
 from pymc_features import _checks as checks
 from pymc_features.io.formats import read_source
 from pymc_features.io.formats.libraries import is_source
-from pymc_features.io.reading.clock import Clock, aligned, no_common_time, without_clocks
+from pymc_features.io.reading.clock import aligned, no_common_time, starts_of
 from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
 from pymc_features.io.reading.recording import Request, chosen, in_si
 
@@ -206,36 +206,37 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
 
     if resample is not None:
         resample = checks.check_positive(resample, "resample", "Pass the sampling rate in Hz.")
-    kept, names, rows, clocks, quantities, delays = {}, [], [], [], [], []
+    kept, names, measured, delays = {}, [], [], []
     for label, source, own in _sensors(files, columns, request, bool(resample)):
         key = id(source) if is_source(source) else str(source), own.of_file
         recording = kept[key] = kept.get(key) or read_source(source, own)
         found = chosen(recording, own.columns)
         names.append((label, [channel.name for channel in found]))
         histories = [in_si(channel, own, recording) for channel in found]
-        apart = len({clock.start for _, clock in histories}) > 1
-        for channel, (history, clock) in zip(found, histories, strict=True):
-            clock = clock._replace(file=f"{recording.file} ({channel.name})") if apart else clock
+        apart = len({history.start for history in histories}) > 1
+        for channel, history in zip(found, histories, strict=True):
+            history = history._replace(values=own.scale * history.values)
+            if apart:
+                history = history._replace(name=f"{recording.file} ({channel.name})")
             if own.anchors is not None:  # two readings whose true times are known
                 (first, at_first), (last, at_last) = own.anchors
                 ratio = (at_last - at_first) / (last - first)
-                start = at_first + ratio * ((clock.start or 0.0) - first)
-                clock = clock._replace(dt=ratio * clock.dt, start=start)
-            rows.append(own.scale * history)
-            clocks.append(clock)
-            quantities.append(own.quantity)
+                start = at_first + ratio * ((history.start or 0.0) - first)
+                history = history._replace(dt=ratio * history.dt, start=start)
+            measured.append(history)
             delays.append(own.delay)
-    if any(delay is not None for delay in delays) and all(clock.start is None for clock in clocks):
-        clocks = [clock._replace(start=0.0) for clock in clocks]
+    if any(delay is not None for delay in delays) and all(history.start is None for history in measured):
+        measured = [history._replace(start=0.0) for history in measured]
     # a clock is set back by whole samples unless it is resampled, and its history moved by the rest
     late = np.array([delay or 0.0 for delay in delays])
-    steps = np.array([clock.dt for clock in clocks])
+    steps = np.array([history.dt for history in measured])
     whole = late if resample else steps * np.rint(late / steps)
-    clocks = [
-        clock if clock.start is None else clock._replace(start=clock.start - by)
-        for clock, by in zip(clocks, whole.tolist(), strict=True)
+    measured = [
+        history if history.start is None else history._replace(start=history.start - by)
+        for history, by in zip(measured, whole.tolist(), strict=True)
     ]
-    values, step, start = _resampled(rows, clocks, resample) if resample else aligned(rows, clocks)
+    values, step, start = _resampled(measured, resample) if resample else aligned(measured)
+    quantities = [history.quantity for history in measured]
     sensors = _sensor_names(names, files, columns)
     time = ("time", step * np.arange(values.shape[1]), {"units": "s"})
     coords, name = {"sensor": sensors, "time": time}, quantities[0]
@@ -251,27 +252,27 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     return channels
 
 
-def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, float, float]:
+def _resampled(channels: list, rate: float) -> tuple[np.ndarray, float, float]:
     """Values (sensor, time) at a common rate [Hz], each moved to the same times; step and start [s]."""
     from pymc_features import band_limited
     from pymc_features.signals.channels import filled, widened
 
-    if without_clocks(clocks):
-        clocks = [clock._replace(start=0.0) for clock in clocks]
-    start, stop = max(clock.start for clock in clocks), min(clock.stop for clock in clocks)
+    starts = starts_of(channels)
+    start = float(starts.max())
+    stop = min(begin + (one.values.size - 1) * one.dt for begin, one in zip(starts, channels, strict=True))
     if stop <= start:
-        raise no_common_time(clocks)
+        raise no_common_time(channels)
     n_times = (stop - start) * rate * (1.0 + 1e-12) + 1.0
     if not 2.0 <= n_times < checks.LARGEST_COUNT:
         what = f"a rate that makes 2 samples or more of the {stop - start:.4g} s that all have in common"
         raise ValueError(checks.message("resample", what, f"{rate:g} Hz"))
     times = np.arange(int(n_times)) / rate
     found = []
-    for row, clock in zip(rows, clocks, strict=True):
-        whole, gaps = filled(row)
-        late = times + (start - clock.start)
-        values = band_limited.at_times(whole[None], clock.dt, late, 1.0 / rate)[0]
-        nearest = np.rint(late / clock.dt).astype(np.int64).clip(0, row.size - 1)
+    for begin, channel in zip(starts, channels, strict=True):
+        whole, gaps = filled(channel.values)
+        late = times + (start - begin)
+        values = band_limited.at_times(whole[None], channel.dt, late, 1.0 / rate)[0]
+        nearest = np.rint(late / channel.dt).astype(np.int64).clip(0, whole.size - 1)
         found.append(np.where(widened(gaps, REACH)[nearest], np.nan, values))
     return np.array(found), 1.0 / rate, start
 

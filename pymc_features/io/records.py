@@ -100,13 +100,13 @@ def read_record(
             f"`column` must be given, {recording.file} has the channels {named([channel, *others])}. Pass "
             "the name or the index (from 0) of one."
         )
-    values, clock = in_si(channel, request, recording)
-    peak = np.abs(values).max()
+    motion = in_si(channel, request, recording)
+    peak = np.abs(motion.values).max()
     if peak > LARGEST:
         from pymc_features.signals.check import implausible  # a second to import
 
         warn_caller(f"{recording.file} {implausible(peak)}")
-    return Record(values, clock.dt, name=recording.name or Path(recording.file).stem)
+    return Record(motion.values, motion.dt, name=recording.name or Path(recording.file).stem)
 
 
 def read_cyclic_test(
@@ -183,7 +183,7 @@ def read_cyclic_test(
             column = _place(recording, kind, number if is_one else 0, 1 + is_one)
         channel = chosen(recording, [column])[0]
         asked = request._replace(units=unit, quantity=kind)
-        found.append(in_si(channel, asked, recording._replace(file=f"{recording.file}, {kind}"))[0])
+        found.append(in_si(channel, asked, recording._replace(file=f"{recording.file}, {kind}")).values)
     displacement, force = found
     if displacement.size != force.size:
         raise ValueError(

@@ -1,27 +1,11 @@
 """Clocks of measured channels: steps, gaps, and the window that several clocks have in common."""
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
 from pymc_features._checks import listed, warn_caller
 from pymc_features.exceptions import ChannelWarning
-
-
-class Clock(NamedTuple):
-    """When the samples of a channel were taken."""
-
-    file: str
-    n_times: int
-    dt: float  # [s]
-    start: float | None = None  # reading at the first sample [s], None if the file has no clock
-    quantum: float = 0.0  # resolution of the readings [s]
-
-    @property
-    def stop(self) -> float:
-        """Reading at the last sample [s]."""
-        return self.start + (self.n_times - 1) * self.dt
 
 
 def even_clock(
@@ -76,67 +60,70 @@ def even_clock(
     return float(f"{mean:.10g}"), numbers
 
 
-def aligned(rows: list[np.ndarray], clocks: list[Clock]) -> tuple[np.ndarray, float, float]:
-    """Values (sensor, time) that all clocks have, by whole samples; step and start [s], 0 without clocks."""
-    first = clocks[0]
-    for clock in clocks[1:]:
-        n = min(first.n_times, clock.n_times)
-        if abs(clock.dt - first.dt) * (n - 1) > 0.5 * first.dt:
+def aligned(channels: list) -> tuple[np.ndarray, float, float]:
+    """Values (sensor, time) of the times that all channels have, by whole samples; step and start [s]."""
+    first, starts = channels[0], starts_of(channels)
+    for channel in channels[1:]:
+        n = min(first.values.size, channel.values.size)
+        if abs(channel.dt - first.dt) * (n - 1) > 0.5 * first.dt:
             raise ValueError(
-                f"Sensors must have a common clock, the step is {first.dt:.10g} s in {first.file} and "
-                f"{clock.dt:.10g} s in {clock.file}. Pass `resample`, the rate [Hz] of all."
+                f"Sensors must have a common clock, the step is {first.dt:.10g} s in {first.name} and "
+                f"{channel.dt:.10g} s in {channel.name}. Pass `resample`, the rate [Hz] of all."
             )
-    if without_clocks(clocks):
-        if len({clock.n_times for clock in clocks}) > 1:
-            sizes = listed([f"{clock.file} {clock.n_times}" for clock in clocks])
+    sizes = np.array([channel.values.size for channel in channels])
+    if first.start is None:
+        if len(set(sizes)) > 1:
+            said = listed([f"{channel.name} {channel.values.size}" for channel in channels])
             raise ValueError(
-                f"Sensors without clocks must have the same number of samples, got {sizes}. Cut them to the "
+                f"Sensors without clocks must have the same number of samples, got {said}. Cut them to the "
                 "same window first."
             )
-        return np.array(rows), first.dt, 0.0
-    dt = float(f"{np.mean([clock.dt for clock in clocks]):.10g}")
-    latest = max(clock.start for clock in clocks)
-    steps = int(np.rint((latest - first.start) / dt))  # of the first clock, to which the others are aligned
-    starts = np.array([clock.start for clock in clocks])
-    skipped = np.rint((first.start + steps * dt - starts) / dt).astype(int)
+        return np.array([channel.values for channel in channels]), first.dt, 0.0
+    dt = float(f"{np.mean([channel.dt for channel in channels]):.10g}")
+    steps = int(
+        np.rint((starts.max() - first.start) / dt)
+    )  # of the first clock, to which the others are aligned
     start = first.start + steps * dt
-    n_times = min(clock.n_times - k for clock, k in zip(clocks, skipped, strict=True))
+    skipped = np.rint((start - starts) / dt).astype(int)
+    n_times = (sizes - skipped).min()
     if n_times < 2:
-        raise no_common_time(clocks)
-    for clock, late in dict(zip(clocks, starts + skipped * dt - start, strict=True)).items():
-        if abs(late) > 0.05 * dt + 2.0 * clock.quantum:
+        raise no_common_time(channels)
+    off = starts + skipped * dt - start
+    different = {(c.name, c.values.size, by): c for c, by in zip(channels, off, strict=True)}
+    for (name, size, late), channel in different.items():
+        if abs(late) > 0.05 * dt + 2.0 * channel.quantum:
             warn_caller(
-                f"{clock.file}: its samples come {1e3 * abs(late):.3g} ms ({abs(late) / dt:.2g} samples) "
-                f"{'after' if late > 0.0 else 'before'} those of {first.file} by the clocks; they are taken "
+                f"{name}: its samples come {1e3 * abs(late):.3g} ms ({abs(late) / dt:.2g} samples) "
+                f"{'after' if late > 0.0 else 'before'} those of {first.name} by the clocks; they are taken "
                 "as simultaneous. Pass `resample` if that matters.",
                 ChannelWarning,
             )
-        if n_times < 0.5 * clock.n_times:
+        if n_times < 0.5 * size:
             warn_caller(
-                f"{clock.file}: only {n_times} of its {clock.n_times} samples are in the window that all "
-                "sensors have in common. Check for a file that starts late or ends early.",
+                f"{name}: only {n_times} of its {size} samples are in the window that all sensors have in "
+                "common. Check for a file that starts late or ends early.",
                 ChannelWarning,
             )
-    return np.array([row[k : k + n_times] for row, k in zip(rows, skipped, strict=True)]), dt, start
+    rows = [channel.values[k : k + n_times] for channel, k in zip(channels, skipped, strict=True)]
+    return np.array(rows), dt, start
 
 
-def no_common_time(clocks: list[Clock]) -> ValueError:
-    """The error about clocks that have no samples in common."""
-    ranges = listed(
-        list(dict.fromkeys(f"{clock.file} {clock.start:.6g} s to {clock.stop:.6g} s" for clock in clocks))
-    )
+def no_common_time(channels: list) -> ValueError:
+    """The error about channels that have no samples in common."""
+    ranges = [f"{c.name} {c.start:.6g} s to {c.start + (c.values.size - 1) * c.dt:.6g} s" for c in channels]
     return ValueError(
-        f"Sensors must have a common clock, these have no time in common: {ranges}. Pass clock=False "
-        "and `dt` if the files start together, or one event only."
+        "Sensors must have a common clock, these have no time in common: "
+        f"{listed(list(dict.fromkeys(ranges)))}. Pass clock=False and `dt` if the files start together, or "
+        "one event only."
     )
 
 
-def without_clocks(clocks: list[Clock]) -> bool:
-    """Whether none of the files has a clock; either all have one or none."""
-    bare = [clock for clock in clocks if clock.start is None]
-    if bare and len(bare) < len(clocks):
+def starts_of(channels: list) -> np.ndarray:
+    """Starts [s], 0 of channels without a clock; either all have one or none."""
+    bare = [channel.name for channel in channels if channel.start is None]
+    if bare and len(bare) < len(channels):
         raise ValueError(
-            f"Sensors must have a common clock, {bare[0].file} has none and others do. Pass `clock`, the "
+            f"Sensors must have a common clock, {bare[0]} has none and others do. Pass `clock`, the "
             "column with the times, or clock=False and `dt` if all files start together."
         )
-    return bool(bare)
+    return np.array([channel.start or 0.0 for channel in channels])

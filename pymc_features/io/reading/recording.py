@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown, warn_caller
-from pymc_features.io.reading.clock import Clock, even_clock
+from pymc_features.io.reading.clock import even_clock
 from pymc_features.io.reading.labels import NO_HISTORY, Label, resolve_dt, resolve_units
 from pymc_features.io.reading.lines import decoded
 
@@ -143,8 +143,8 @@ def named(channels: Sequence[Channel]) -> str:
     return listed([f"{c.name} [{c.unit}]" if c.unit else c.name for c in channels])
 
 
-def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.ndarray, Clock]:
-    """History (time,) of a channel in SI units at an even step, and its clock."""
+def in_si(channel: Channel, request: Request, recording: Recording) -> Channel:
+    """A channel in SI units at an even step, which messages call by its file."""
     if channel.problem:
         raise ValueError(channel.problem)
     file, skip = recording.file, 0 if recording.skipped else request.skip
@@ -177,8 +177,7 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
             "spoilt?"
         )
     start = None if channel.start is None or request.clock is False else channel.start + skip * dt
-    values = values if factor == 1.0 else factor * values
-    return values, Clock(file, values.size, dt, start, channel.quantum)
+    return channel._replace(name=file, values=factor * values, dt=dt, start=start, quantity=request.quantity)
 
 
 def even_or_times(times: np.ndarray, quantum: float, where: Callable[[int], str]) -> dict:
