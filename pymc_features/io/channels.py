@@ -10,7 +10,7 @@ import numpy as np
 from pymc_features import _checks as checks
 from pymc_features.io.formats import read_source
 from pymc_features.io.formats.libraries import is_source
-from pymc_features.io.reading.clock import aligned, no_common_time, starts_of
+from pymc_features.io.reading.clock import aligned, common_span
 from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
 from pymc_features.io.reading.recording import Request, chosen, in_si
 
@@ -257,11 +257,7 @@ def _resampled(channels: list, rate: float) -> tuple[np.ndarray, float, float]:
     from pymc_features import band_limited
     from pymc_features.signals.channels import filled, widened
 
-    starts = starts_of(channels)
-    start = float(starts.max())
-    stop = min(begin + (one.values.size - 1) * one.dt for begin, one in zip(starts, channels, strict=True))
-    if stop <= start:
-        raise no_common_time(channels)
+    starts, start, stop = common_span(channels)
     n_times = (stop - start) * rate * (1.0 + 1e-12) + 1.0
     if not 2.0 <= n_times < checks.LARGEST_COUNT:
         what = f"a rate that makes 2 samples or more of the {stop - start:.4g} s that all have in common"
@@ -297,25 +293,26 @@ def _sensors(files, columns, request: Request, resampled: bool) -> list[tuple[st
     for name, source in entries:
         own = request
         if isinstance(source, Mapping):
-            source, own = _of_sensor(name, source, request, resampled)
+            source, own = source.get("file"), _of_sensor(name, source, request, resampled)
         if name is None:
             name = "" if is_source(source) else checks.check_path(source, "files").stem
         found.append((name, source, own))
     return found
 
 
-def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> tuple[object, Request]:
-    """The file of one sensor, and what is said of it, from a mapping."""
+def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> Request:
+    """What is said of the file of one sensor by a mapping."""
     unknown = [key for key in said if key not in OF_SENSOR]
     if unknown or "file" not in said:
         what = f"`file` and any of {', '.join(OF_SENSOR[1:])} of {name!r}"
         raise ValueError(checks.message("files", what, checks.listed(unknown or list(said))))
-    numbers = {key: checks.check_number(said[key], key) for key in ("scale", "delay") if key in said}
-    for key, value in numbers.items():
-        checks.check_finite(np.float64(value), key)
-    if numbers.get("scale") == 0.0:
+    own = request._replace(**{key: said[key] for key in OF_ALL if key in said})
+    for key in ("scale", "delay"):
+        if key in said:
+            own = own._replace(**{key: checks.check_number(said[key], key)})
+            checks.check_finite(np.float64(said[key]), key)
+    if own.scale == 0.0:
         raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
-    own = request._replace(**{key: said[key] for key in OF_ALL if key in said}, **numbers)
     if "anchors" in said:
         if not resampled:
             raise ValueError(
@@ -323,7 +320,7 @@ def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> tuple[
             )
         pairs = [checks.as_list(pair) or [] for pair in checks.as_list(said["anchors"]) or []]
         pairs = [[checks.check_number(value, "anchors") for value in pair] for pair in pairs]
-        if np.shape(pairs) != (2, 2) or not (np.diff(pairs, axis=0) > 0.0).all():
+        if [len(pair) for pair in pairs] != [2, 2] or not (np.diff(pairs, axis=0) > 0.0).all():
             what = "two pairs of a reading of the clock and its true time in seconds, the later second"
             raise ValueError(checks.message("anchors", what, checks.shown(said["anchors"])))
         own = own._replace(anchors=pairs)
@@ -331,7 +328,7 @@ def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> tuple[
         own = own._replace(dt=checks.step_or_rate(said.get("dt"), said["fs"]))
     if said.get("column") is not None:
         own = own._replace(columns=[check_column(said["column"], "column")])
-    return said["file"], checked(own)
+    return checked(own)
 
 
 def check_column(column, name: str) -> int | str:

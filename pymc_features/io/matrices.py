@@ -50,7 +50,14 @@ def read_mtx(path: Path) -> Matrices:
     """A matrix of Matrix Market or of Abaqus, which have the same ending."""
     lines = Lines(path)
     if not lines.raw.lstrip().lower().startswith(b"%%matrixmarket"):
-        return _abaqus(path, lines)
+        # lines of node, direction, node, direction and value, or of row, column and value
+        entries, labels = _numbers(lines), []
+        if entries.shape[1] == 5:
+            pairs = np.vstack([entries[:, :2], entries[:, 2:4]]).astype(np.int64)
+            freedoms, numbers = np.unique(pairs, axis=0, return_inverse=True)
+            labels = [_label(*freedom) for freedom in freedoms]
+            entries = np.column_stack([numbers.reshape(2, -1).T + 1.0, entries[:, 4]])
+        return _assembled(path, entries, labels=labels)
     *shape, n_entries, layout, field, symmetry = mminfo(path)
     square, sign = shape[0] == shape[1], SIGNS.get(symmetry)
     if field not in ("real", "double", "integer") or sign is None or min(shape) < 1 or (sign and not square):
@@ -111,17 +118,6 @@ def _assembled(path: Path, entries: np.ndarray, shape=None, sign=None, labels=()
         values = np.r_[values, sign * values[off]]
     matrix = sparse.coo_array((values, (rows, columns)), shape=shape)
     return Matrices({path.stem: matrix}, {path.stem: labels} if labels else {})
-
-
-def _abaqus(path: Path, lines: Lines) -> Matrices:
-    """*MATRIX OUTPUT: lines of node, direction, node, direction and value, or of row, column and value."""
-    entries = _numbers(lines)
-    if entries.shape[1] == 3:
-        return _assembled(path, entries)
-    pairs = np.vstack([entries[:, :2], entries[:, 2:4]])
-    freedoms, numbers = np.unique(pairs.astype(np.int64), axis=0, return_inverse=True)
-    entries = np.column_stack([numbers.reshape(2, -1).T + 1.0, entries[:, 4]])
-    return _assembled(path, entries, labels=[_label(*freedom) for freedom in freedoms])
 
 
 def _label(node, direction) -> str:

@@ -404,20 +404,17 @@ def seconds_of(texts: list[str], file: str) -> tuple[float, np.ndarray]:
     if dates and not days:
         what = f"those of a calendar, all written alike, got {', '.join(dates[:3])}"
         raise ValueError(f"{file}: dates must be {what}. Correct them.")
-    origin = min(days.values(), default=0.0)
-    seconds = np.array([days.get(match["date"], origin) - origin + _of_day(match) for match in found])
+    origin, seconds = min(days.values(), default=0.0), []
+    for match in found:
+        date, hour, minute, second, fraction, half, zone = match.groups()
+        hour = int(hour) if not half else int(hour) % 12 + 12 * (half.strip().lower() == "pm")
+        of_day = 3600 * hour + 60 * int(minute) + int(second or 0)
+        if (zone := (zone or "Z").strip()) not in ("Z", "UTC", "GMT"):
+            of_day -= (60 * int(zone[1:3]) + int(zone[-2:])) * (60 if zone[0] == "+" else -60)
+        seconds.append(
+            days.get(date, origin) - origin + (of_day + float((fraction or "0").replace(",", ".")))
+        )
+    seconds = np.array(seconds)
     if not days:
         seconds[1:] += 86400.0 * np.cumsum(np.diff(seconds) < -43200.0)
     return origin, seconds
-
-
-def _of_day(match: re.Match) -> float:
-    """Seconds since midnight."""
-    _, hour, minute, second, fraction, half, zone = match.groups()
-    hour = int(hour)
-    if half:
-        hour = hour % 12 + (12 if half.strip().lower() == "pm" else 0)
-    seconds = 3600 * hour + 60 * int(minute) + int(second or 0)
-    if (zone := (zone or "Z").strip()) not in ("Z", "UTC", "GMT"):
-        seconds -= (60 * int(zone[1:3]) + int(zone[-2:])) * (60 if zone[0] == "+" else -60)
-    return seconds + float((fraction or "0").replace(",", "."))

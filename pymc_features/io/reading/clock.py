@@ -9,17 +9,9 @@ from pymc_features.exceptions import ChannelWarning
 
 
 def even_clock(
-    times: np.ndarray,
-    where: Callable[[int], str],
-    quantum: float = 0.0,
-    gaps: bool = False,
-    dt: float | None = None,
+    times: np.ndarray, where: Callable, quantum: float = 0.0, gaps: bool = False, dt: float | None = None
 ) -> tuple[float | None, np.ndarray]:
-    """Sampling interval [s] of a clock (time,), and the number of each of its samples, from 0 (time,).
-
-    With `gaps` half of the samples may be missing, at most. With `dt` [s], the caller's, steps may be uneven,
-    which is a warning, and None is returned. `where` is how a message calls the place of a row.
-    """
+    """Sampling interval [s] of a clock (time,), None if it is uneven and the caller's; numbers of samples."""
     steps = np.diff(times)
     if not (steps > 0.0).all():
         row = int(np.argmin(steps > 0.0)) + 1
@@ -62,7 +54,7 @@ def even_clock(
 
 def aligned(channels: list) -> tuple[np.ndarray, float, float]:
     """Values (sensor, time) of the times that all channels have, by whole samples; step and start [s]."""
-    first, starts = channels[0], starts_of(channels)
+    first = channels[0]
     for channel in channels[1:]:
         n = min(first.values.size, channel.values.size)
         if abs(channel.dt - first.dt) * (n - 1) > 0.5 * first.dt:
@@ -70,6 +62,7 @@ def aligned(channels: list) -> tuple[np.ndarray, float, float]:
                 f"Sensors must have a common clock, the step is {first.dt:.10g} s in {first.name} and "
                 f"{channel.dt:.10g} s in {channel.name}. Pass `resample`, the rate [Hz] of all."
             )
+    starts, latest, _ = common_span(channels)
     sizes = np.array([channel.values.size for channel in channels])
     if first.start is None:
         if len(set(sizes)) > 1:
@@ -80,14 +73,10 @@ def aligned(channels: list) -> tuple[np.ndarray, float, float]:
             )
         return np.array([channel.values for channel in channels]), first.dt, 0.0
     dt = float(f"{np.mean([channel.dt for channel in channels]):.10g}")
-    steps = int(
-        np.rint((starts.max() - first.start) / dt)
-    )  # of the first clock, to which the others are aligned
+    steps = int(np.rint((latest - first.start) / dt))  # of the first clock, to which the others are aligned
     start = first.start + steps * dt
     skipped = np.rint((start - starts) / dt).astype(int)
     n_times = (sizes - skipped).min()
-    if n_times < 2:
-        raise no_common_time(channels)
     off = starts + skipped * dt - start
     different = {(c.name, c.values.size, by): c for c, by in zip(channels, off, strict=True)}
     for (name, size, late), channel in different.items():
@@ -108,22 +97,21 @@ def aligned(channels: list) -> tuple[np.ndarray, float, float]:
     return np.array(rows), dt, start
 
 
-def no_common_time(channels: list) -> ValueError:
-    """The error about channels that have no samples in common."""
-    ranges = [f"{c.name} {c.start:.6g} s to {c.start + (c.values.size - 1) * c.dt:.6g} s" for c in channels]
-    return ValueError(
-        "Sensors must have a common clock, these have no time in common: "
-        f"{listed(list(dict.fromkeys(ranges)))}. Pass clock=False and `dt` if the files start together, or "
-        "one event only."
-    )
-
-
-def starts_of(channels: list) -> np.ndarray:
-    """Starts [s], 0 of channels without a clock; either all have one or none."""
+def common_span(channels: list) -> tuple[np.ndarray, float, float]:
+    """Starts [s], 0 of channels without a clock, which all have or none; start and stop of their common time."""
     bare = [channel.name for channel in channels if channel.start is None]
     if bare and len(bare) < len(channels):
         raise ValueError(
             f"Sensors must have a common clock, {bare[0]} has none and others do. Pass `clock`, the "
             "column with the times, or clock=False and `dt` if all files start together."
         )
-    return np.array([channel.start or 0.0 for channel in channels])
+    starts = np.array([channel.start or 0.0 for channel in channels])
+    stops = starts + [(channel.values.size - 1) * channel.dt for channel in channels]
+    if stops.min() - starts.max() < 0.99 * channels[0].dt:
+        spans = zip(channels, starts, stops, strict=True)
+        ranges = dict.fromkeys(f"{c.name} {start:.6g} s to {stop:.6g} s" for c, start, stop in spans)
+        raise ValueError(
+            f"Sensors must have a common clock, these have no time in common: {listed(list(ranges))}. Pass "
+            "clock=False and `dt` if the files start together, or one event only."
+        )
+    return starts, float(starts.max()), float(stops.min())

@@ -111,9 +111,7 @@ class Lines:
         got = repr(self.last.strip()[:80]) if got is None else got
         return ValueError(f"{self.where()}: {condition}, got {got}. {advice}")
 
-    def numbers(
-        self, count: int, what: str, width: int = 0, *, whole: bool = False, per_line: int = 0
-    ) -> np.ndarray:
+    def numbers(self, count: int, what: str, width=0, *, whole=False, per_line=0) -> np.ndarray:
         """Numbers (count,) from as many lines as it takes, between blanks or in columns, which may touch."""
         values, self.announced = array("d"), f"{count // (per_line or 1)} {what}"
         while len(values) < count:
@@ -192,9 +190,7 @@ def not_a_number(where: str, token: str) -> ValueError:
 
 
 @contextmanager
-def by_library(
-    name: str, extra: str, path: Path, kind: str, again: str = "Fetch it again."
-) -> Iterator[None]:
+def by_library(name: str, extra: str, path: Path, kind: str, again="Fetch it again.") -> Iterator[None]:
     """The errors of a library in our words: that it is not installed, or cannot read a file."""
     try:
         yield
