@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pymc_features import _checks as checks
+from pymc_features.exceptions import ChannelWarning
 from pymc_features.io.formats import read_source
 from pymc_features.io.formats.libraries import is_source
-from pymc_features.io.reading.clock import aligned, common_span
 from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
 from pymc_features.io.reading.recording import Request, chosen, in_si
 
 if TYPE_CHECKING:
     import xarray as xr
 
+#: What makes no difference to how a file is read.
+NOT_OF_FILE = dict.fromkeys(("columns", "units", "quantity", "sensitivity", "scale", "delay", "anchors"))
 REACH = 10  # samples by which gaps are wider once a channel is moved to other times
 #: What may be said of all sensors or of each on its own, and of each alone.
 OF_ALL = "units", "quantity", "sensitivity", "dt", "clock", "clock_units", "skip", "wrapped"
@@ -57,8 +59,7 @@ def read_channels(
         variables; a matrix there is several sensors. All but the clock by default.
     units : str or float, optional
         "g" (9.81 m/s^2), "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal", "in/s^2" or "ft/s^2", or m/s^2 per file
-        unit, positive; needed where headers such as ``acc [g]``, or a MATLAB text variable ``units``, do not
-        state it.
+        unit, positive; where headers such as ``acc [g]``, or MATLAB's ``units``, do not state it.
     dt : float, optional
         Sampling interval [s], positive; stated by the clock, or by MATLAB's ``dt`` or ``fs`` [Hz].
     fs : float, optional
@@ -208,8 +209,9 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
         resample = checks.check_positive(resample, "resample", "Pass the sampling rate in Hz.")
     kept, names, measured, delays = {}, [], [], []
     for label, source, own in _sensors(files, columns, request, bool(resample)):
-        key = id(source) if is_source(source) else str(source), own.of_file
-        recording = kept[key] = kept.get(key) or read_source(source, own)
+        said = own._replace(**NOT_OF_FILE)
+        key = id(source) if is_source(source) else str(source), said
+        recording = kept[key] = kept.get(key) or read_source(source, said)
         found = chosen(recording, own.columns)
         names.append((label, [channel.name for channel in found]))
         histories = [in_si(channel, own, recording) for channel in found]
@@ -235,7 +237,7 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
         history if history.start is None else history._replace(start=history.start - by)
         for history, by in zip(measured, whole.tolist(), strict=True)
     ]
-    values, step, start = _resampled(measured, resample) if resample else aligned(measured)
+    values, step, start = _resampled(measured, resample) if resample else _aligned(measured)
     quantities = [history.quantity for history in measured]
     sensors = _sensor_names(names, files, columns)
     time = ("time", step * np.arange(values.shape[1]), {"units": "s"})
@@ -252,12 +254,77 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     return channels
 
 
+def _aligned(channels: list) -> tuple[np.ndarray, float, float]:
+    """Values (sensor, time) of the times that all channels have, by whole samples; step and start [s]."""
+    first = channels[0]
+    for channel in channels[1:]:
+        n = min(first.values.size, channel.values.size)
+        if abs(channel.dt - first.dt) * (n - 1) > 0.5 * first.dt:
+            raise ValueError(
+                f"Sensors must have a common clock, the step is {first.dt:.10g} s in {first.name} and "
+                f"{channel.dt:.10g} s in {channel.name}. Pass `resample`, the rate [Hz] of all."
+            )
+    starts, latest, _ = _common_span(channels)
+    sizes = np.array([channel.values.size for channel in channels])
+    if first.start is None:
+        if len(set(sizes)) > 1:
+            said = checks.listed([f"{channel.name} {channel.values.size}" for channel in channels])
+            raise ValueError(
+                f"Sensors without clocks must have the same number of samples, got {said}. Cut them to the "
+                "same window first."
+            )
+        return np.array([channel.values for channel in channels]), first.dt, 0.0
+    dt = float(f"{np.mean([channel.dt for channel in channels]):.10g}")
+    steps = int(np.rint((latest - first.start) / dt))  # of the first clock, to which the others are aligned
+    start = first.start + steps * dt
+    skipped = np.rint((start - starts) / dt).astype(int)
+    n_times = (sizes - skipped).min()
+    off = starts + skipped * dt - start
+    different = {(c.name, c.values.size, by): c for c, by in zip(channels, off, strict=True)}
+    for (name, size, late), channel in different.items():
+        if abs(late) > 0.05 * dt + 2.0 * channel.quantum:
+            checks.warn_caller(
+                f"{name}: its samples come {1e3 * abs(late):.3g} ms ({abs(late) / dt:.2g} samples) "
+                f"{'after' if late > 0.0 else 'before'} those of {first.name} by the clocks; they are taken "
+                "as simultaneous. Pass `resample` if that matters.",
+                ChannelWarning,
+            )
+        if n_times < 0.5 * size:
+            checks.warn_caller(
+                f"{name}: only {n_times} of its {size} samples are in the window that all sensors have in "
+                "common. Check for a file that starts late or ends early.",
+                ChannelWarning,
+            )
+    rows = [channel.values[k : k + n_times] for channel, k in zip(channels, skipped, strict=True)]
+    return np.array(rows), dt, start
+
+
+def _common_span(channels: list) -> tuple[np.ndarray, float, float]:
+    """Starts [s], 0 without clocks, which all channels have or none; start and stop of their common time."""
+    bare = [channel.name for channel in channels if channel.start is None]
+    if bare and len(bare) < len(channels):
+        raise ValueError(
+            f"Sensors must have a common clock, {bare[0]} has none and others do. Pass `clock`, the "
+            "column with the times, or clock=False and `dt` if all files start together."
+        )
+    starts = np.array([channel.start or 0.0 for channel in channels])
+    stops = starts + [(channel.values.size - 1) * channel.dt for channel in channels]
+    if stops.min() - starts.max() < 0.99 * channels[0].dt:
+        spans = zip(channels, starts, stops, strict=True)
+        ranges = dict.fromkeys(f"{c.name} {start:.6g} s to {stop:.6g} s" for c, start, stop in spans)
+        raise ValueError(
+            f"Sensors must have a common clock, these have no time in common: {checks.listed(list(ranges))}. "
+            "Pass clock=False and `dt` if the files start together, or one event only."
+        )
+    return starts, float(starts.max()), float(stops.min())
+
+
 def _resampled(channels: list, rate: float) -> tuple[np.ndarray, float, float]:
     """Values (sensor, time) at a common rate [Hz], each moved to the same times; step and start [s]."""
     from pymc_features import band_limited
     from pymc_features.signals.channels import filled, widened
 
-    starts, start, stop = common_span(channels)
+    starts, start, stop = _common_span(channels)
     n_times = (stop - start) * rate * (1.0 + 1e-12) + 1.0
     if not 2.0 <= n_times < checks.LARGEST_COUNT:
         what = f"a rate that makes 2 samples or more of the {stop - start:.4g} s that all have in common"
@@ -315,9 +382,7 @@ def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> Reques
         raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
     if "anchors" in said:
         if not resampled:
-            raise ValueError(
-                f"`resample` must be given with `anchors` of {name!r}, got none. Pass a rate [Hz]."
-            )
+            raise ValueError(f"`resample` must be given with `anchors` of {name!r}, got none. Pass it [Hz].")
         pairs = [checks.as_list(pair) or [] for pair in checks.as_list(said["anchors"]) or []]
         pairs = [[checks.check_number(value, "anchors") for value in pair] for pair in pairs]
         if [len(pair) for pair in pairs] != [2, 2] or not (np.diff(pairs, axis=0) > 0.0).all():

@@ -85,9 +85,9 @@ def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
             raise ValueError(f"got {count} in the first")
         return np.loadtxt(StringIO("\n".join(rows)), ndmin=2, comments=None).reshape(-1, count)
     except ValueError as error:
-        counted = f"{n_columns} numbers" if n_columns else "%%MatrixMarket above, or 3 or 5 numbers"
-        what = f"{counted} in a line ({shortened(error)})"
-        raise ValueError(f"{lines.title} must hold {what}. Export it again.") from None
+        what = f"{n_columns} numbers" if n_columns else "%%MatrixMarket above, or 3 or 5 numbers"
+        what = f"must hold {what} in a line ({shortened(error)}). Export it again."
+        raise ValueError(f"{lines.title} {what}") from None
 
 
 def _assembled(path: Path, entries: np.ndarray, shape=None, sign=None, labels=()) -> Matrices:
@@ -223,10 +223,8 @@ def read_matrices(path: str | PathLike) -> Matrices:
         with warnings.catch_warnings():  # SciPy announces another class of sparse matrix
             warnings.simplefilter("ignore", DeprecationWarning)
             found = reader(path)
-    except ImportError:
-        raise
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
-        if str(error).startswith(path.name):
+        if isinstance(error, ImportError) or str(error).startswith(path.name):
             raise
         raise ValueError(
             f"{path.name} must hold matrices, it cannot be read ({shortened(error)}). Save it again."
@@ -241,9 +239,7 @@ def read_matrices(path: str | PathLike) -> Matrices:
             value = np.array(value, dtype=np.float64)
             floats[name] = value.ravel() if 1 in value.shape and value.size > 1 else value  # as in MATLAB
         if not np.isfinite(value.data if sparse.issparse(value) else value).all():
-            raise ValueError(
-                f"{path.name}, `{name}`: entries must be finite numbers, got NaN or infinity. Correct it."
-            )
+            raise ValueError(f"{path.name}, `{name}`: entries must be finite, got NaN or infinity.")
     if not floats:
         held = listed(sorted(found)) if found else "nothing"
         raise ValueError(

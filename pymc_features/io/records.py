@@ -44,19 +44,16 @@ def read_record(
         (data sets 58), MATLAB (``.mat``, also v7.3), or text, columns of numbers separated by comma,
         semicolon, tab or blanks. One column is the acceleration, two are time [s] and acceleration.
     units : str or float, optional
-        Of the file, where it does not state them: "g" (9.81 m/s^2), "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal",
-        "in/s^2" or "ft/s^2", or m/s^2 per file unit, positive. Formats of strong motion, text headers such as
-        ``acc [g]`` and a MATLAB text variable ``units`` do; others are an error then.
+        "g" (9.81 m/s^2), "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal", "in/s^2" or "ft/s^2", or m/s^2 per file
+        unit, positive. Formats of strong motion, headers such as ``acc [g]`` and MATLAB's ``units`` state it.
     dt : float, optional
-        Sampling interval [s], positive. Formats of strong motion, an evenly increasing first text column and
-        the MATLAB variables ``dt``, ``fs`` [Hz], ``t`` or ``time`` state it. Films digitised at uneven times
-        need it: their values are joined by straight lines.
+        Sampling interval [s], positive. Formats of strong motion, clocks, and MATLAB's ``dt`` or ``fs`` [Hz]
+        state it. Films digitised at uneven times need it: their values are joined by straight lines.
     fs : float, optional
         Sampling rate [Hz], in place of `dt`.
     column : int or str, optional
-        Which channel of a recording or column of a text file, by index from 0 or name, or which MATLAB
-        variable is the acceleration. Needed only if there are several. An (N, 2) MATLAB matrix is time and
-        acceleration.
+        Which channel, column or MATLAB variable is the acceleration, by index from 0 or name, if there are
+        several. An (N, 2) MATLAB matrix is time and acceleration.
     wrapped : bool, optional
         Text only: True if one series runs along the lines, several values to each, or times and values in
         turn; False if each column is a series. Needed where neither labels nor a clock tell.
@@ -71,8 +68,8 @@ def read_record(
     FileNotFoundError, IsADirectoryError, OSError
         If there is no such file or it cannot be opened.
     ValueError, TypeError
-        If an argument is not admissible or the file does not hold what its format asks for; the
-        message names the file, its format, the line where there is one, and what to do.
+        If an argument is not admissible or the file does not hold what its format asks for; the message
+        names the file, its format, the line where there is one, and what to do.
     ImportError
         If the file is a seismogram and ObsPy is not installed, or a Universal File and pyuff is not.
 

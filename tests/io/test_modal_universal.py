@@ -323,7 +323,7 @@ def test_files_that_are_cut(tmp_path):
     path = write_58(tmp_path, history(0), history(1))
     text = path.read_text()
     path.write_text(text[:-500])
-    with pytest.raises(ValueError, match="motion.uff .Universal File. must end with a line of -1, it does"):
+    with pytest.raises(ValueError, match="motion.uff .Universal File. must end in a line of -1, it does"):
         read_channels(path)
     lines = text.splitlines(keepends=True)
     path.write_text("".join(lines[:20] + lines[21:]))

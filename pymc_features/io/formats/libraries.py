@@ -60,9 +60,7 @@ def read_universal(path: Path, request: Request) -> Recording:
     """All time histories of a file, named by node and direction; why one that is spoilt cannot be taken."""
     raw = path.read_bytes()
     if not raw.rstrip().endswith(b"    -1"):
-        raise ValueError(
-            f"{path.name} ({NAME}) must end with a line of -1, it does not. Fetch the file again."
-        )
+        raise ValueError(f"{path.name} ({NAME}) must end in a line of -1, it does not. Fetch it again.")
     _check_text(path, raw)
     with by_library("pyuff", "modal", path, "Universal"), warnings.catch_warnings():
         import pyuff
@@ -301,9 +299,7 @@ def channels_of(stream, source: str, rates: dict[str, float]) -> list[Channel]:
         sac = trace.stats.get("sac", {})
         uneven = sac.get("leven", 1) != 1 or sac.get("iftype", 1) != 1
         if uneven or trace.data.dtype.kind not in "iuf" or not trace.stats.delta > 0.0:
-            raise ValueError(
-                f"{source} must hold an even series of numbers, {trace.id} is none. Resample it."
-            )
+            raise ValueError(f"{source} must hold even series of numbers, {trace.id} is none. Resample it.")
         name = trace.stats.channel if trace.stats.channel and len(set(codes)) == len(codes) else trace.id
         values = np.ma.filled(trace.data.astype(np.float64), np.nan)
         # of SAC in single precision; ObsPy rounds it to microseconds

@@ -288,9 +288,7 @@ def _stated(facts: Mapping, inside: str, file: str, dt: float | None) -> tuple[s
             in_si = float(number) * unit.factor
             steps[name] = in_si if unit.quantity == "time" else 1.0 / in_si
     if len(units) > 1:
-        raise ValueError(
-            f"{file} contradicts itself, it states the units {listed(sorted(units))}. Correct it."
-        )
+        raise ValueError(f"{file} contradicts itself, it states the units {listed(sorted(units))}.")
     steps = {name: step for name, step in steps.items() if _inside(name) == inside} or steps
     first = next(iter(steps.values()), None)
     if dt is None and not all(np.isclose(step, first, rtol=1e-3, atol=0.0) for step in steps.values()):

@@ -87,9 +87,7 @@ def labelled(lines: Lines, end: str | None = None) -> dict[str, str]:
 _NUMBER = r"[-+]?(?:\d{1,20}(?:\.\d{0,20})?|\.\d{1,20})(?:[eEdD][-+]?\d{1,3})?"
 _NPTS = re.compile(r"\bNPTS\s?[=:]\s?(\d{1,12})(?![\dA-Za-z])", re.IGNORECASE | re.ASCII)
 _DT = re.compile(rf"\bDT\s?[=:]\s?({_NUMBER})", re.IGNORECASE | re.ASCII)
-_NPTS_DT = re.compile(
-    rf"(?<!\d)(\d{{1,12}})\s?,?\s({_NUMBER})\s?,?\s?NPTS\s?,?\s?DT", re.IGNORECASE | re.ASCII
-)
+_NPTS_DT = re.compile(rf"(?ia)(?<!\d)(\d{{1,12}})\s?,?\s({_NUMBER})\s?,?\s?NPTS\s?,?\s?DT")
 _UNITS = re.compile(r"\bunits\s?(?:\b(?:of|are|is|in)\b|[=:(])\s?\(?\s?([a-z/0-9^*²]{1,40})", re.IGNORECASE)
 _ACCELERATION_IN = re.compile(r"acceleration[a-z ]{0,60}\bin\s?\(?\s?([a-z/0-9^*]{1,40})", re.IGNORECASE)
 _DATE = re.compile(r"\b\d{1,2}/\d{1,2}/\d{2,4}\b", re.ASCII)
@@ -111,9 +109,7 @@ def read_at2(lines: Lines) -> Iterator[Channel]:
         else:
             header.append(" ".join(line.split()))
     if not values:
-        raise ValueError(
-            f"{lines.title} must hold values below its header, none was found. Is it an AT2 file?"
-        )
+        raise ValueError(f"{lines.title} must hold values below its header, none was found. Is it AT2?")
     rows = enumerate(lines.whole[first - 1 : last], first)
     warn_of_widths(lines.title, ((number, row) for number, row in rows if row.strip()))
     text = "\n".join(header)
@@ -127,9 +123,7 @@ def read_at2(lines: Lines) -> Iterator[Channel]:
     if not count and "NPTS" in text.upper():
         raise ValueError(f"{lines.title} must state NPTS as a whole number, it does not. Correct the header.")
     if not count and step:
-        warn_caller(
-            f"{lines.title} states its step, but no number of values (NPTS) to compare with. Is it whole?"
-        )
+        warn_caller(f"{lines.title} states its step, but no number of values (NPTS). Is it whole?")
     unit, words = _UNITS.search(text), _ACCELERATION_IN.search(text)
     if unit is None and words is not None and unit_in(words[1]):
         unit = words

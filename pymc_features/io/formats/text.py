@@ -29,10 +29,9 @@ DATES = ["%Y-%m-%d", "%d.%m.%Y", "%d-%b-%Y", "%d.%m.%y", "%d/%m/%Y"]
 DATES += ["%m/%d/%Y", "%Y/%m/%d", "%Y.%m.%d", "%d-%m-%Y", "%m-%d-%Y"]
 DATE = r"\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.](?:\d\d?|[A-Z][a-z]{2})[-/.]\d{4}|\d\d\.\d\d\.\d\d"
 STAMP = re.compile(
-    rf"(?:(?P<date>{DATE})(?:T|[ ,;]\s*))?"
+    rf"(?a)(?:(?P<date>{DATE})(?:T|[ ,;]\s*))?"
     r"(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?P<fraction>[.,]\d+)?)?"
-    r"(?P<half>\s?[AaPp][Mm])?(?P<zone>\s?Z|\s?UTC|\s?GMT|\s?[+-]\d\d:?\d\d)?",
-    re.ASCII,
+    r"(?P<half>\s?[AaPp][Mm])?(?P<zone>\s?Z|\s?UTC|\s?GMT|\s?[+-]\d\d:?\d\d)?"
 )
 
 
@@ -411,9 +410,8 @@ def seconds_of(texts: list[str], file: str) -> tuple[float, np.ndarray]:
         of_day = 3600 * hour + 60 * int(minute) + int(second or 0)
         if (zone := (zone or "Z").strip()) not in ("Z", "UTC", "GMT"):
             of_day -= (60 * int(zone[1:3]) + int(zone[-2:])) * (60 if zone[0] == "+" else -60)
-        seconds.append(
-            days.get(date, origin) - origin + (of_day + float((fraction or "0").replace(",", ".")))
-        )
+        of_day += float((fraction or "0").replace(",", "."))
+        seconds.append(days.get(date, origin) - origin + of_day)
     seconds = np.array(seconds)
     if not days:
         seconds[1:] += 86400.0 * np.cumsum(np.diff(seconds) < -43200.0)

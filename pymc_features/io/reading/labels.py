@@ -230,14 +230,18 @@ def resolve_units(channel, request, source: str) -> float:
     return factor / sensitivity_of(request.sensitivity, quantity) if voltage else factor
 
 
-def resolve_dt(dt: float | None, stated: float | None, source: str) -> float:
-    """Sampling interval [s]: the argument wins, the file's statement is the fallback."""
-    stated = stated if stated is not None and stated > 0.0 else None  # headers with a step of 0 state none
-    if dt is None and (stated is None or stated >= 1.0):  # a counter or milliseconds, 1000 times too slow
-        said = "does not state the time step"
-        if stated is not None:
-            said = f"states a time step of {stated:g}, too long for seconds"
-        raise ValueError(f"`dt` must be given, {source} {said}. {SAMPLING_INTERVAL}")
+def resolve_dt(channel, request, source: str) -> float:
+    """Sampling interval [s] that the caller says, or else the file."""
+    dt, stated = request.dt, channel.dt if (channel.dt or 0.0) > 0.0 else None  # a step of 0 states none
+    if dt is None and (stated is None or stated >= 1.0):
+        said, more = f"{source} does not state the time step", ""
+        if channel.times is not None:
+            apart = float(np.diff(channel.times).mean())
+            said = f"the times of {source} ({channel.name}) are uneven, {apart:.3g} s apart on average"
+            more = " The values are joined by straight lines and read off at this step."
+        elif stated is not None:  # a counter or milliseconds, 1000 times too slow
+            said = f"{source} states a time step of {stated:g}, too long for seconds"
+        raise ValueError(f"`dt` must be given, {said}. {SAMPLING_INTERVAL}{more}")
     if dt is not None and stated is not None and not np.isclose(dt, stated, rtol=1e-3, atol=0.0):
         warn_caller(f"{source} states a time step of {stated:g} s; the argument dt={dt:g} s is used.")
     return stated if dt is None else dt

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown, warn_caller
-from pymc_features.io.reading.clock import even_clock
 from pymc_features.io.reading.labels import NO_HISTORY, Label, resolve_dt, resolve_units
 from pymc_features.io.reading.lines import decoded
 
@@ -38,11 +37,6 @@ class Request(NamedTuple):
     scale: float = 1.0
     delay: float | None = None  # how late it comes [s]
     anchors: list | None = None  # two pairs of a reading of the clock and the true time [s]
-
-    @property
-    def of_file(self) -> tuple:
-        """What makes a difference to how the file is read."""
-        return self[: self._fields.index("columns")]
 
 
 @dataclass(frozen=True)
@@ -148,13 +142,7 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> Channel:
     if channel.problem:
         raise ValueError(channel.problem)
     file, skip = recording.file, 0 if recording.skipped else request.skip
-    if channel.times is not None and request.dt is None:
-        raise ValueError(
-            f"`dt` must be given, the times of {file} ({channel.name}) are uneven, "
-            f"{float(np.diff(channel.times).mean()):.3g} s apart on average. {SAMPLING_INTERVAL} The "
-            "values are joined by straight lines and read off at this step."
-        )
-    dt = resolve_dt(request.dt, channel.dt, file)
+    dt = resolve_dt(channel, request, file)
     factor = resolve_units(channel, request, file)
     values = (channel.values if channel.times is None else _interpolated(channel, dt, file))[skip:]
     sizes = np.abs(values)
@@ -178,6 +166,50 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> Channel:
         )
     start = None if channel.start is None or request.clock is False else channel.start + skip * dt
     return channel._replace(name=file, values=factor * values, dt=dt, start=start, quantity=request.quantity)
+
+
+def even_clock(
+    times: np.ndarray, where: Callable, quantum: float = 0.0, gaps: bool = False, dt: float | None = None
+) -> tuple[float | None, np.ndarray]:
+    """Sampling interval [s] of a clock (time,), None if it is uneven and the caller's; numbers of samples."""
+    steps = np.diff(times)
+    if not (steps > 0.0).all():
+        row = int(np.argmin(steps > 0.0)) + 1
+        raise ValueError(
+            f"{where(row)}: time must increase, it goes from {times[row - 1]:.10g} s to {times[row]:.10g} s. "
+            "Cut the file there; if this is no time, name the column with the times by `clock`, or the "
+            "acceleration by `column` and pass `dt`."
+        )
+    long = 1.5 * (steps.min() if steps.max() < 1.5 * steps.min() else np.median(steps))
+    usual = float(steps[steps < long].mean())  # of printed times no step is exact
+    missing = np.rint(steps / usual)
+    off, slack = np.abs(steps - missing * usual), 0.1 * usual + 2.0 * quantum
+    whole = (off <= 0.1 * usual).all() or (slack < 0.4 * usual and (off <= slack * missing).all())
+    numbers = np.arange(times.size)
+    if (missing > 1.0).any() and whole:
+        row = int(np.argmax(missing > 1.0)) + 1
+        if not gaps or missing.sum() >= 2.0 * times.size:
+            raise ValueError(
+                f"{where(row)}: no samples may be missing, {int((missing - 1.0).sum())} are, in "
+                f"{int((missing > 1.0).sum())} gap(s), the first from {times[row - 1]:.10g} s to "
+                f"{times[row]:.10g} s at a step of {usual:.4g} s. Cut the file to one side, or fill the gap."
+            )
+        numbers = np.append(0, np.cumsum(missing.astype(np.int64)))
+    mean = (times[-1] - times[0]) / numbers[-1]
+    # rounding cannot make steps uneven that are multiples of the resolution, `quantum` [s]
+    tolerance = 1e-3 * mean + 4.0 * np.spacing(np.abs(times).max())
+    multiple = quantum > 0.0 and abs(mean / quantum - round(mean / quantum)) < 1e-6
+    if quantum <= mean / 4.0 and not multiple:
+        tolerance += quantum
+    if np.abs(times - times[0] - mean * numbers).max() > tolerance:
+        row = int(np.argmax(np.abs(steps - np.median(steps)))) + 1
+        span = f"from {steps.min():.4g} s to {steps.max():.4g} s"
+        text = f"{where(row)}: time steps must be even, they vary {span}."
+        if dt is None:
+            raise ValueError(f"{text} Resample the record first.")
+        warn_caller(f"{text} The argument dt={dt:g} s is used.")
+        return None, numbers
+    return float(f"{mean:.10g}"), numbers
 
 
 def even_or_times(times: np.ndarray, quantum: float, where: Callable[[int], str]) -> dict:
