@@ -65,9 +65,8 @@ def read_channels(
     fs : float, optional
         Sampling rate [Hz], in place of `dt`.
     clock : int, str or False, optional
-        Column or variable with the times; by default time stamps, or one called t, time, timestamp, date,
-        elapsed or SampleTimeFine, else a first column that runs forward. False: there is none, the files
-        start together.
+        Column or variable with the times; by default time stamps, or one called t, time, date, elapsed and
+        so on, else a first column that runs forward. False: there is none, the files start together.
     clock_units : str or float, optional
         Of the clock: "s", "ms", "us", "ns", "min", "h", "d" or seconds per count. Headers such as
         ``time [ms]`` state it; without a statement seconds, of SampleTimeFine microseconds.
@@ -78,8 +77,7 @@ def read_channels(
         neither labels nor a clock tell.
     resample : float, optional
         Sampling rate [Hz] of all sensors, for files of different rates: each is moved to the same times, as
-        a band-limited history without what this rate cannot carry, so that a fraction of a sample between
-        clocks is no lag. Gaps are wider by 10 samples on each side.
+        a band-limited history without what this rate cannot carry. Gaps are wider by 10 samples on each side.
 
     Returns
     -------
@@ -103,8 +101,7 @@ def read_channels(
     -----
     ChannelWarning
         If a channel looks clipped or interrupted, is a copy of another or implausible in these units, if the
-        first samples are empty, or the clocks are not simultaneous. `signals.check_channels` compares the
-        sensors.
+        first samples are empty, or the clocks are not simultaneous.
     UserWarning
         If `dt` contradicts a file, or the times of a MiniSEED file its rate.
 
@@ -148,8 +145,7 @@ def read_channels_with_gaps(
     Returns
     -------
     xarray.DataArray (sensor, time)
-        As from `read_channels`, NaN in the gaps. Functions of `signals` and the feature likelihoods take it,
-        a motion of the base must be without gaps.
+        As from `read_channels`, NaN in the gaps. A motion of the base must be without gaps.
 
     Raises
     ------

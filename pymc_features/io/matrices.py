@@ -241,10 +241,8 @@ def read_matrices(path: str | PathLike) -> Matrices:
         if not np.isfinite(value.data if sparse.issparse(value) else value).all():
             raise ValueError(f"{path.name}, `{name}`: entries must be finite, got NaN or infinity.")
     if not floats:
-        held = listed(sorted(found)) if found else "nothing"
-        raise ValueError(
-            f"{path.name} must hold matrices of real numbers, got {held}. Save M, C and K as variables."
-        )
+        held = f"{listed(sorted(found)) if found else 'nothing'}. Save M, C and K as variables."
+        raise ValueError(f"{path.name} must hold matrices of real numbers, got {held}")
     return Matrices(floats, {name: found.labels[name] for name in floats if name in found.labels})
 
 

@@ -123,8 +123,8 @@ def read_cyclic_test(
         Text, CSV or any format of `read_channels`: a table with both, or that of the displacement and that of
         the force, with as many rows.
     columns : sequence of two int or str, optional
-        Column of the displacement and that of the force, by index from 0 or header name. By default the
-        columns of a table that has two, or one in each of two files.
+        Those of the displacement and the force, by index from 0 or header name. By default by their labels,
+        or the columns of a table that has two, or one in each of two files.
     units : sequence of two str or float, optional
         Of displacement, "m", "cm", "mm" or "in", or m per file unit, and of force, "N", "kN", "MN", "lbf" or
         "kip", or N per file unit. Headers such as ``drift [mm]`` state them.
@@ -133,8 +133,7 @@ def read_cyclic_test(
     skip : int
         Rows left out at the start.
     wrapped : bool, optional
-        True if one series runs along the lines of the files, False if each column is a series. Needed where
-        neither labels nor two columns tell.
+        True if one series runs along the lines, False if each column is a series, where nothing else tells.
 
     Returns
     -------
@@ -148,7 +147,7 @@ def read_cyclic_test(
         If there is no such file or it cannot be opened.
     ValueError, TypeError
         If an argument is not admissible, a file is broken, its units are not known, or displacement and
-        force do not have the same length; the message names file and line.
+        force differ in length; the message names file and line.
 
     Examples
     --------

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks import as_list, listed, message, shown, warn_caller
+from pymc_features._checks import listed, message, shown, warn_caller
 from pymc_features.io.reading.labels import Label, role_of, unit_of
 from pymc_features.io.reading.lines import Lines, by_library, to_count, to_number, warn_of_widths
 from pymc_features.io.reading.recording import (
@@ -70,11 +70,8 @@ def read_universal(path: Path, request: Request) -> Recording:
         kinds = [int(kind) for kind in file.get_set_types()]
         sets = [file.read_sets(k) for k, kind in enumerate(kinds) if str(kind) == FUNCTIONS]
     if not sets:
-        held = listed(list(dict.fromkeys(kinds)))
-        raise ValueError(
-            f"{path.name} ({NAME}) must hold time histories in data sets 58, got the data sets {held[:200]}. "
-            "Read identified modes by `read_modal`."
-        )
+        held = f"the data sets {listed(list(dict.fromkeys(kinds)))[:200]}. Read modes by `read_modal`."
+        raise ValueError(f"{path.name} ({NAME}) must hold time histories in data sets 58, got {held}")
     if odd := [kind for kind in dict.fromkeys(kinds) if kind not in KNOWN]:
         warn_caller(f"{path.name}: the data sets {listed(odd)} are of no known type. Is a digit of one lost?")
     channels = []
@@ -103,8 +100,7 @@ def _history(name: str, found: dict, raw: bytes) -> Channel:
     if n < values.size < n + PER_LINE and not values[n:].any():  # the last line is filled up with zeros
         values, times = values[:n], times[:n]
     if values.size != n or times.size != n or n < 2 or not np.isfinite(times).all():
-        what = f"the {n} samples of the header must be there, at least 2, got {values.size}"
-        raise ValueError(f"{what}. Fetch the file again.")
+        raise ValueError(f"the {n} samples of its header must be there, got {values.size}. Fetch it again.")
     if found["binary"]:  # which must reach to the end of the data set, else a byte was lost or added
         order, single = found["byte_ordering"], found["ord_data_type"] in (2, 5)
         last = values[-1:].astype(f"{'<' if order == 1 else '>'}f{4 if single else 8}").tobytes()
@@ -273,11 +269,10 @@ SEP005 = "data", "name", "unit_str"
 
 def is_source(value) -> bool:
     """Whether a value holds channels by itself, rather than being the path of a file."""
-    kind = type(value)
-    if {"DataFrame", "DataArray", "Stream"} & {base.__name__ for base in kind.__mro__}:
+    if {"DataFrame", "DataArray", "Stream"} & {base.__name__ for base in type(value).__mro__}:
         return True
-    entries = as_list(value) if isinstance(value, list | tuple) else None
-    return bool(entries) and all(isinstance(entry, Mapping) and "data" in entry for entry in entries)
+    entries = value if isinstance(value, list | tuple) else ()
+    return len(entries) > 0 and all(isinstance(entry, Mapping) and "data" in entry for entry in entries)
 
 
 def recording_in(source, request: Request) -> Recording:

@@ -91,9 +91,7 @@ class Lines:
     def take(self, what: str) -> str:
         """The next line, blank or not; `what` it should be, for the message at the end of the file."""
         if self.number >= len(self.whole):
-            raise ValueError(
-                f"{self.title} must hold {what}, it ends at line {self.number}. Fetch the file again."
-            )
+            raise ValueError(f"{self.title} must hold {what}, it ends at line {self.number}. Fetch it again.")
         self.last = self.whole[self.number]
         self.number += 1
         return self.last
@@ -155,9 +153,8 @@ def warn_of_widths(title: str, lines: Iterable[tuple[int, str]]) -> None:
             f"{lengths[odd.argmax()]} characters, others {usual}. Is a digit or a sign lost?"
         )
     elif 0 < plus.sum() <= few:
-        warn_caller(
-            f"{title}, line {numbers[plus.argmax()]}: a number has a plus sign, others have none. Is it one?"
-        )
+        number = numbers[plus.argmax()]
+        warn_caller(f"{title}, line {number}: a number has a plus sign, others have none. Is it one?")
 
 
 def to_number(token: str) -> float | None:

@@ -104,7 +104,8 @@ class Format(NamedTuple):
 
 def chosen(recording: Recording, columns: list | None, argument: str = "columns") -> list[Channel]:
     """The channels, or all rows of a variable, that the caller names; by default all measurements."""
-    channels = recording.channels
+    channels, hint = recording.channels, "Pass the index (from 0) or the name of one."
+    of = f"of {recording.file} ({named(channels)})"
     if recording.question and not (columns and all(isinstance(column, str) for column in columns)):
         raise ValueError(recording.question)
     found = [channel for channel in channels if not channel.hidden] if columns is None else []
@@ -119,16 +120,10 @@ def chosen(recording: Recording, columns: list | None, argument: str = "columns"
         else:
             matches, rows = list(channels[column : column + 1]) if column >= 0 else [], False
         if len(matches) != 1 and not rows:
-            raise ValueError(
-                f"`{argument}` must be one of the channels of {recording.file} ({named(channels)}), got "
-                f"{shown(column)}. Pass the index (from 0) or the name of one."
-            )
+            raise ValueError(f"`{argument}` must be one of the channels {of}, got {shown(column)}. {hint}")
         found += matches
     if not found:
-        raise ValueError(
-            f"`{argument}` must name a channel of {recording.file} ({named(channels)}), none is a "
-            "measurement by its label. Pass the index (from 0) or the name of one."
-        )
+        raise ValueError(f"`{argument}` must name a channel {of}, none is a measurement by its label. {hint}")
     return found
 
 
@@ -148,10 +143,10 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> Channel:
     sizes = np.abs(values)
     largest = np.nanmax(sizes, initial=0.0)
     if (missing := np.isinf(values) if request.gaps else ~np.isfinite(values)).any():
+        first = f"the first after {dt * missing.argmax():.6g} s ({values[missing.argmax()]})"
         raise ValueError(
-            f"{file}, {channel.name}: no samples may be missing, {missing.sum()} are, the first after "
-            f"{dt * missing.argmax():.6g} s ({values[missing.argmax()]}). Cut the file to one side, or use "
-            "`io.read_channels_with_gaps`."
+            f"{file}, {channel.name}: no samples may be missing, {missing.sum()} are, {first}. Cut the file "
+            "to one side, or use `io.read_channels_with_gaps`."
         )
     if values.size < 2:
         raise ValueError(f"{file}, {channel.name}: at least 2 samples must be there, got {values.size}.")
@@ -160,10 +155,8 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> Channel:
     alone = np.count_nonzero(sizes >= largest / ALONE) == 1
     odd = largest if alone else least if least < TINY * largest else 0.0
     if odd and np.count_nonzero(sizes > 0.0) >= FEWEST:
-        warn_caller(
-            f"{file}, {channel.name}: a value of {odd:.4g} is of another size than others. Is its exponent "
-            "spoilt?"
-        )
+        what = f"a value of {odd:.4g} is of another size than others. Is its exponent spoilt?"
+        warn_caller(f"{file}, {channel.name}: {what}")
     start = None if channel.start is None or request.clock is False else channel.start + skip * dt
     return channel._replace(name=file, values=factor * values, dt=dt, start=start, quantity=request.quantity)
 
@@ -203,8 +196,8 @@ def even_clock(
         tolerance += quantum
     if np.abs(times - times[0] - mean * numbers).max() > tolerance:
         row = int(np.argmax(np.abs(steps - np.median(steps)))) + 1
-        span = f"from {steps.min():.4g} s to {steps.max():.4g} s"
-        text = f"{where(row)}: time steps must be even, they vary {span}."
+        text = f"from {steps.min():.4g} s to {steps.max():.4g} s."
+        text = f"{where(row)}: time steps must be even, they vary {text}"
         if dt is None:
             raise ValueError(f"{text} Resample the record first.")
         warn_caller(f"{text} The argument dt={dt:g} s is used.")
@@ -351,9 +344,8 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
                     "Read the channels of each clock by themselves, by `clock` and `columns`."
                 )
     quantum = scale * columns.resolution(timer)
-    step, numbers = even_clock(
-        scale * readings, lambda row: columns.where(row, timer), quantum, request.gaps, request.dt
-    )
+    times = scale * readings
+    step, numbers = even_clock(times, lambda k: columns.where(k, timer), quantum, request.gaps, request.dt)
     if step is None:
         return {"dt": None}, numbers
     if step >= 1.0 and stated is None:  # a counter, or other units
