@@ -265,10 +265,8 @@ def _aligned(channels: list) -> tuple[np.ndarray, float, float]:
     if first.start is None:
         if len(set(sizes)) > 1:
             said = checks.listed([f"{channel.name} {channel.values.size}" for channel in channels])
-            raise ValueError(
-                f"Sensors without clocks must have the same number of samples, got {said}. Cut them to the "
-                "same window first."
-            )
+            said = f"{said}. Cut them to the same window first."
+            raise ValueError(f"Sensors without clocks must have the same number of samples, got {said}")
         return np.array([channel.values for channel in channels]), first.dt, 0.0
     dt = float(f"{np.mean([channel.dt for channel in channels]):.10g}")
     steps = int(np.rint((latest - first.start) / dt))  # of the first clock, to which the others are aligned
@@ -412,8 +410,6 @@ def _sensor_names(found, files, columns) -> list[str]:
             alone = not label or (len(found) == 1 and not named)
             names += own if alone else [f"{label} {name}" for name in own]
     if len(set(names)) < len(names):
-        raise ValueError(
-            f"Sensors must have different names, got {checks.listed(names)}. Pass `files` or `columns` as a "
-            "mapping of names."
-        )
+        said = f"{checks.listed(names)}. Pass `files` or `columns` as a mapping of names."
+        raise ValueError(f"Sensors must have different names, got {said}")
     return names

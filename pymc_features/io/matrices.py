@@ -226,9 +226,8 @@ def read_matrices(path: str | PathLike) -> Matrices:
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
         if isinstance(error, ImportError) or str(error).startswith(path.name):
             raise
-        raise ValueError(
-            f"{path.name} must hold matrices, it cannot be read ({shortened(error)}). Save it again."
-        ) from error
+        said = f"it cannot be read ({shortened(error)}). Save it again."
+        raise ValueError(f"{path.name} must hold matrices, {said}") from error
     floats = {}
     for name, value in found.items():
         if getattr(value, "ndim", 0) not in (1, 2) or value.dtype.kind not in "biuf" or 0 in value.shape:

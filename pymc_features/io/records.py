@@ -93,10 +93,8 @@ def read_record(
     recording = read_source(path, request, "path")
     channel, *others = chosen(recording, columns, "column")
     if others:
-        raise ValueError(
-            f"`column` must be given, {recording.file} has the channels {named([channel, *others])}. Pass "
-            "the name or the index (from 0) of one."
-        )
+        held = f"{named([channel, *others])}. Pass the name or the index (from 0) of one."
+        raise ValueError(f"`column` must be given, {recording.file} has the channels {held}")
     motion = in_si(channel, request, recording)
     peak = np.abs(motion.values).max()
     if peak > LARGEST:
@@ -206,8 +204,7 @@ def _place(recording: Recording, kind: str, place: int, usual: int) -> int:
     if kinds.count(kind) == 1:
         return kinds.index(kind)
     if len(kinds) != usual or kinds[place] is not None or kind in kinds:
-        raise ValueError(
-            f"`columns` must be given, {recording.file} has {len(kinds)} columns "
-            f"({named(recording.channels)}). Pass the one of the displacement and the one of the force."
-        )
+        held = f"{len(kinds)} columns ({named(recording.channels)})"
+        advice = "Pass the one of the displacement and the one of the force."
+        raise ValueError(f"`columns` must be given, {recording.file} has {held}. {advice}")
     return place

@@ -25,15 +25,14 @@ ESM and ITACA | .ASC | step, units, component, start, peak
 K-NET and KiK-net | .NS, .EW, .UD, .NS1 to .UD2 | scale, step, direction, start, peak; the mean is taken off
 NSMN | .txt | step, directions; gal
 UNAM | day and number, .191 | step, units, directions, peaks
-Universal File 58, by pyuff | .uff, .unv | step, units, channels by node and direction. \
-Needs the extra `modal`
+Universal File 58, by pyuff | .uff, .unv | step, units, channels by node, direction. Needs the extra `modal`
 SAC, MiniSEED, TSPAIR and SLIST, by ObsPy | .sac, .mseed, .txt | step, channels, start; pass `units`. \
 Needs the extra `seismic`
 text | any other | names and units of a header, step of a column of times; pass what is missing
 """
 #: How the files of a format begin, and what reads them.
 READERS = {
-    "MATLAB": (lambda opening: opening.suffix == ".mat", read_matlab),
+    "MATLAB": (r"\.mat$", read_matlab),
     "TDMS, by npTDMS": (b"TDSm", libraries.read_tdms),
     "Parquet, by pandas": (b"PAR1", libraries.read_parquet),
     "HDF5": (rb"\x89HDF\r\n\x1a\n", read_matlab),
@@ -42,8 +41,7 @@ READERS = {
     "SAC, MiniSEED, TSPAIR and SLIST, by ObsPy": (libraries.kind_of, libraries.read_waveforms),
     "text": (b"", read_text),
 }
-ROWS = [row.split(" | ") for row in TABLE.splitlines()]
-FORMATS = tuple(Format(name, files, states, *READERS[name]) for name, files, states in ROWS)
+FORMATS = tuple(Format(*row, *READERS[row[0]]) for row in (row.split(" | ") for row in TABLE.splitlines()))
 TEXT = FORMATS[-1]
 
 
@@ -55,16 +53,13 @@ def read_source(source, request: Request, name: str = "files") -> Recording:
     opening = Opening.of(path)
     entry = next(entry for entry in FORMATS if opening.begins(entry.begins))
     if request.wrapped is not None and entry is not TEXT:
-        raise ValueError(
-            f"`wrapped` must be None for {path.name}, got {request.wrapped}. It is a {entry.name} file, "
-            "whose layout is known."
-        )
+        said = f"got {request.wrapped}. It is a {entry.name} file, whose layout is known."
+        raise ValueError(f"`wrapped` must be None for {path.name}, {said}")
     try:
         found = entry.read(path, request)
     except (ArithmeticError, LookupError, MemoryError, TypeError, UnicodeError) as error:
-        raise ValueError(
-            f"{path.name} must be a whole {entry.name} file, it cannot be read ({error}). Fetch it again."
-        ) from error
+        said = f"it cannot be read ({error}). Fetch it again."
+        raise ValueError(f"{path.name} must be a whole {entry.name} file, {said}") from error
     if not found.channels:
         raise ValueError(f"{path.name} ({entry.name}) must hold an acceleration, none was found.")
     return found

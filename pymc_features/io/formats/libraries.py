@@ -40,7 +40,6 @@ KNOWN = {15, 18, 27, 30, 31, 55, 56, 57, 58, 82, 151, 156, 164, 241, 250, 252, 2
 KNOWN |= {770, 771, 772, 773, 774, 775, 776, 777, 778, 779, 780, 781, 789, 790, 791, 1710, 1715, 1716, 1717}
 KNOWN |= {1802, 1807, 1808, 1809, 1858, 1860, 3062, *range(2400, 2500)}
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")  # directions 1 to 6
-PER_LINE = 6  # numbers of a line, at most
 #: Columns of whole numbers of records 6, of types, nodes and directions, and 7, above the step.
 COLUMNS = {6: [(0, 5), (5, 15), (15, 20), (20, 30), (41, 51), (51, 55), (66, 76), (76, 80)]}
 COLUMNS |= {7: [(0, 10), (10, 20), (20, 30)]}
@@ -91,13 +90,11 @@ def read_universal(path: Path, request: Request) -> Recording:
 def _history(name: str, found: dict, raw: bytes) -> Channel:
     """The numbers of a data set on their clock."""
     if found["func_type"] != 1 or np.iscomplexobj(found["data"]):
-        raise ValueError(
-            f"functions must be time histories, type 1, got type {found['func_type']}. Identify the modes "
-            "from frequency response functions first."
-        )
+        advice = "Identify the modes from frequency response functions first."
+        raise ValueError(f"functions must be time histories, type 1, got type {found['func_type']}. {advice}")
     values, times = (np.asarray(found[key], dtype=np.float64) for key in ("data", "x"))
     n = found["num_pts"]
-    if n < values.size < n + PER_LINE and not values[n:].any():  # the last line is filled up with zeros
+    if n < values.size < n + 6 and not values[n:].any():  # zeros fill the last line of six up
         values, times = values[:n], times[:n]
     if values.size != n or times.size != n or n < 2 or not np.isfinite(times).all():
         raise ValueError(f"the {n} samples of its header must be there, got {values.size}. Fetch it again.")
@@ -128,11 +125,9 @@ def _check_text(path: Path, raw: bytes) -> None:
         for record, line in zip((6, 7), found[1].decode("latin-1").split("\n")[5:], strict=False):
             cells = [line[begin:end] for begin, end in COLUMNS[record]]
             if odd := [cell for cell in cells if cell.strip() and not RIGHT.fullmatch(cell)]:
-                warn_caller(
-                    f"{path.name}, record {record} of a data set 58: numbers must stand at the right ends of "
-                    f"their columns, got {odd[0]!r}. Is a character lost or added, and a node, a direction "
-                    "or the step with it?"
-                )
+                said = f"got {odd[0]!r}. Is a character lost or added, and a node or the step with it?"
+                where = f"{path.name}, record {record} of a data set 58"
+                warn_caller(f"{where}: numbers must stand at the right ends of their columns, {said}")
     if b"\0" not in raw:
         lines = list(enumerate(Lines(path).whole, 1))
         marks = [k for k, (_, line) in enumerate(lines) if is_mark(line)]
@@ -308,8 +303,7 @@ def _of_frame(frame, request: Request) -> Recording:
     """Columns by their labels; an index that is named as a time, or holds dates, is the clock."""
     labels = [Label.of(str(name)) for name in frame.columns]
     if other := [str(name) for name, kind in frame.dtypes.items() if kind.kind not in "iufb"]:
-        what = f"a DataFrame with {listed(other)}"
-        raise ValueError(f"`files` must hold numbers, got {what}. Drop these columns.")
+        raise ValueError(f"`files` must hold numbers, got a DataFrame with {listed(other)}. Drop these.")
     values, stamp, origin, index = frame.to_numpy(dtype=np.float64), None, 0.0, frame.index
     dates = index.dtype.kind in "mM"
     if dates or (index.name is not None and role_of(str(index.name)) == "time"):
@@ -332,10 +326,8 @@ def _seconds(times: np.ndarray) -> tuple[float, np.ndarray]:
 def _of_array(array) -> list[Channel]:
     """Sensors by the coordinate `sensor`, times [s] or dates by the coordinate `time`, `units` in `attrs`."""
     if not set(array.dims) <= {"sensor", "time"} or "time" not in array.dims:
-        raise ValueError(
-            message("files", "a DataArray (sensor, time)", str(array.dims), "Rename and transpose it.")
-        )
-    whole = array.expand_dims("sensor") if "sensor" not in array.dims else array
+        raise ValueError(message("files", "a DataArray (sensor, time)", array.dims, "Transpose it."))
+    whole = array if "sensor" in array.dims else array.expand_dims("sensor")
     whole = whole.transpose("sensor", "time")
     names = whole["sensor"].values if "sensor" in array.coords else range(whole.sizes["sensor"])
     one = [array.attrs.get("units")] * len(names)
@@ -353,10 +345,8 @@ def _of_dict(entry: Mapping) -> Channel:
     """A channel by SEP005, proposal 5 of the Structural Health Monitoring community's `sdypy`."""
     missing = [key for key in SEP005 if key not in entry]
     if missing or not ("fs" in entry or "time" in entry):
-        raise ValueError(
-            f"`files` must be dicts with {', '.join(SEP005)} and `fs` or `time`, got one with "
-            f"{listed(list(entry))}. Complete it."
-        )
+        held = f"got one with {listed(list(entry))}. Complete it."
+        raise ValueError(f"`files` must be dicts with {', '.join(SEP005)} and `fs` or `time`, {held}")
     start = entry.get("start_timestamp")
     if isinstance(start, str):
         try:

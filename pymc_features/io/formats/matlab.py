@@ -58,9 +58,8 @@ def load_variables(path: Path) -> dict[str, np.ndarray]:
         return {name: value for name, value in pairs if name and not name.startswith("__")}
     except Exception as error:  # each damaged file fails in its own way
         kind = "a MATLAB .mat" if path.suffix.lower() == ".mat" else "an HDF5"
-        raise ValueError(
-            f"{path.name} must be {kind} file, it cannot be read ({shortened(error)}). Save it again."
-        ) from error
+        said = f"it cannot be read ({shortened(error)}). Save it again."
+        raise ValueError(f"{path.name} must be {kind} file, {said}") from error
 
 
 def _read_5(path: Path, raw: memoryview) -> Iterator[tuple[str, np.ndarray]]:
@@ -210,10 +209,9 @@ def read_matlab(path: Path, request: Request) -> Recording:
         times = [name for name in arrays if Label.of(name.rpartition(".")[2]).role == "time"]
         if len(times) == len(arrays) and len(groups) > 1 and request.clock is None and request.dt is None:
             others = [f"{name} {a.shape}" for group in groups.values() for name, a in group.items()]
-            raise ValueError(
-                f"{file}: `{times[0]}` must have one time for each sample, got {n_times} beside "
-                f"{listed(others)}. Name the times by `clock`, or pass clock=False and `dt`."
-            )
+            others = f"{listed(others)}. Name the times by `clock`, or pass clock=False and `dt`."
+            what = f"`{times[0]}` must have one time for each sample, got {n_times}"
+            raise ValueError(f"{file}: {what} beside {others}")
     channels = []
     for (inside, n_times), arrays in groups.items():
         whole = {name: array for name, array in arrays.items() if array.shape != (n_times, n_times)}
@@ -280,10 +278,8 @@ def _stated(facts: Mapping, inside: str, file: str, dt: float | None) -> tuple[s
             text, _, word = number.strip().partition(" ")
             number, unit = to_number(text), unit_of(word) if word else unit
             if number is None or unit is None or unit.quantity not in ("time", "frequency"):
-                raise ValueError(
-                    f"{file}, `{name}`: a step or rate must be a number and a unit, got {value.item()!r}. "
-                    "Correct it, or remove it and pass `dt`."
-                )
+                said = f"got {value.item()!r}. Correct it, or remove it and pass `dt`."
+                raise ValueError(f"{file}, `{name}`: a step or rate must be a number and a unit, {said}")
         if number > 0.0:
             in_si = float(number) * unit.factor
             steps[name] = in_si if unit.quantity == "time" else 1.0 / in_si

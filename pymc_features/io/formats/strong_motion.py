@@ -55,10 +55,8 @@ def channel(lines: Lines, name: str, values: np.ndarray, unit, peak=None, factor
     """A channel; a warning if the values, before the factor, have another peak than the file states."""
     largest, stated = float(np.abs(values).max(initial=0.0)), abs(peak or 0.0)
     if stated > 0.0 and values.size and abs(largest - stated) > 0.02 * stated + 0.005:
-        warn_caller(
-            f"{lines.title}, {name}: the file states a peak of {stated:.4g}, its values have {largest:.4g}. "
-            "Is it damaged?"
-        )
+        said = f"its values have {largest:.4g}. Is it damaged?"
+        warn_caller(f"{lines.title}, {name}: the file states a peak of {stated:.4g}, {said}")
     return Channel(name, factor * values, unit, **place)
 
 
@@ -116,10 +114,8 @@ def read_at2(lines: Lines) -> Iterator[Channel]:
     both = _NPTS_DT.search(text)
     count, step = both.groups() if both else [m and m[1] for m in (_NPTS.search(text), _DT.search(text))]
     if count and len(values) != int(count):
-        raise ValueError(
-            f"{lines.title} must hold the NPTS = {int(count)} values its header announces, got "
-            f"{len(values)}. Fetch the file again or correct the header."
-        )
+        said = f"the NPTS = {int(count)} values its header announces, got {len(values)}"
+        raise ValueError(f"{lines.title} must hold {said}. Fetch the file again or correct the header.")
     if not count and "NPTS" in text.upper():
         raise ValueError(f"{lines.title} must state NPTS as a whole number, it does not. Correct the header.")
     if not count and step:
@@ -298,6 +294,7 @@ def read_cosmos(lines: Lines) -> Iterator[Channel]:
 
 UNCORRECTED, CORRECTED = "uncorrected accelerogram data", "corrected accelerogram"
 SPECTRA = "response and fourier"
+CSMIP = rf"\s*({UNCORRECTED}|{CORRECTED}.*\n.*uncorrected accelerogram|{SPECTRA}.*\n.*{CORRECTED})"
 TEXT_LINES, NUMBER_LINES = {1: 13, 2: 25}, {1: 14, 2: 20}  # by volume
 
 
@@ -399,17 +396,11 @@ def read_smc(lines: Lines) -> Iterator[Channel]:
     yield channel(lines, name, values, "cm/s^2", peak, **spacing)
 
 
-#: By the name of a format, how its first lines begin, in lower case, and what reads it.
+#: By the name of a format, how its first lines begin, in lower case, or its suffix, and what reads it.
 LAYOUTS = {
-    "PEER AT2": (
-        lambda opening: opening.suffix == ".at2" or opening.begins(r"(.*\n){0,19}(?=.*npts).*dt"),
-        read_at2,
-    ),
+    "PEER AT2": (r"\.at2$|(.*\n){0,19}(?=.*npts).*dt", read_at2),
     "COSMOS": (r"(?=.*\(format v).*text lines", read_cosmos),
-    "CSMIP and CESMD": (
-        rf"\s*({UNCORRECTED}|{CORRECTED}.*\n.*uncorrected accelerogram|{SPECTRA}.*\n.*{CORRECTED})",
-        read_csmip,
-    ),
+    "CSMIP and CESMD": (CSMIP, read_csmip),
     "SMC": (r"\d.*(accelerogram|velocity|displacement|spectr).*\n\*", read_smc),
     "GeoNet": (r"(un)?corrected accelerogram.*\nsite ", read_geonet),
     "ESM and ITACA": (r"event_name:.*\n(.*\n)?event_id:", read_esm),

@@ -119,10 +119,8 @@ def read_columns(path: Path, request: Request) -> Columns:
     top, bottom = (lines.raw[slice(*place)].decode(errors="ignore").split("\n") for place in places)
     decimals = [len(layout.cells(row)[-1].partition(".")[2]) for row in bottom[-ENDS:] if row.strip()]
     if bottom[-1] and len(decimals) == ENDS and len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]:
-        raise ValueError(
-            f"{path.name}: the last line must be whole, it ends in {bottom[-1][-12:]!r} with fewer decimals "
-            "than the lines above it. Fetch the file again, or cut the line."
-        )
+        said = "with fewer decimals than the lines above it. Fetch the file again, or cut the line."
+        raise ValueError(f"{path.name}: the last line must be whole, it ends in {bottom[-1][-12:]!r} {said}")
     found = None
     if len(lines.raw) > FEW and not request.wrapped:
         with suppress(ValueError, OverflowError):  # of a row that is not as the first
@@ -202,8 +200,8 @@ def _word_among_numbers(number: int, line: str) -> str:
         cells = without_ends(split(line, separator))
         odd = [c for c in cells if to_number(c) is None and to_number(c.replace(",", ".")) is None]
         if len(odd) > 0 and len(cells) > 1 + len(odd):
-            what = odd[0] or "an empty cell"
-            return f"Line {number} has {what!r} among its numbers: leave such columns out. "
+            what = repr(odd[0] or "an empty cell")
+            return f"Line {number} has {what} among its numbers: leave such columns out. "
     return ""
 
 

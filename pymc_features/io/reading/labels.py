@@ -8,8 +8,7 @@ import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, check_positive, message, shown, warn_caller
 
-#: Acceleration of gravity [m/s^2] behind the unit "g". The reference results that records of this
-#: field are compared with use 9.81; who wants 9.80665 passes that number as `units`.
+#: Gravity [m/s^2] behind the unit "g", as reference results have it; who wants 9.80665 passes it as `units`.
 G = 9.81
 INCH, FOOT, POUND = 0.0254, 0.3048, 4.4482216152605  # m, m, N, exact
 
@@ -202,29 +201,23 @@ def resolve_units(channel, request, source: str) -> float:
     if said is None and stated is None and not voltage and role_of(channel.name) in MEASURED:
         said, by = role_of(channel.name), "label"
     if said not in (None, quantity):
-        raise ValueError(
-            f"{source} must hold {PLURALS[quantity]}, the {by} {channel.name!r} says {said}. Pass the "
-            "columns that are, or rename it."
-        )
+        what = f"the {by} {channel.name!r} says {said}. Pass the columns that are, or rename it."
+        raise ValueError(f"{source} must hold {PLURALS[quantity]}, {what}")
     measured = "voltage" if voltage else quantity
     if known is not None and known.quantity != measured:
         advice = f"Pass the columns that are {PLURALS[measured]}."
         if known.quantity == "voltage":
             advice = f'Pass `sensitivity`, such as "100 mV/({next(iter(UNITS[quantity]))})".'
         beside = "" if units is None else f", beside units={shown(units)}"
-        raise ValueError(
-            f"{source} must hold {PLURALS[measured]}, it states {stated!r}, a unit of "
-            f"{known.quantity}{beside}. {advice}"
-        )
+        what = f"it states {stated!r}, a unit of {known.quantity}{beside}. {advice}"
+        raise ValueError(f"{source} must hold {PLURALS[measured]}, {what}")
     if units is None and known is None:
         said = "does not state them" if stated is None else f"states {stated!r}, which is no known unit"
         raise ValueError(f"`units` must be given, {source} {said}. Pass one of {choices(measured)}.")
     factor = known.factor if units is None else unit_factor(units, measured)
     if known is not None and not np.isclose(factor, known.factor, rtol=0.01, atol=0.0):  # 9.80665 is one g
-        raise ValueError(
-            f"`units` must be those of the file, {source} states {stated!r}, got {shown(units)}. Leave "
-            "`units` out, or correct the file."
-        )
+        what = f"got {shown(units)}. Leave `units` out, or correct the file."
+        raise ValueError(f"`units` must be those of the file, {source} states {stated!r}, {what}")
     if known is None and stated is not None:
         warn_caller(f"{source} states the units {stated!r}; the argument units={units!r} is used.")
     return factor / sensitivity_of(request.sensitivity, quantity) if voltage else factor

@@ -34,10 +34,9 @@ def most_bytes(path: Path) -> int:
 def check_size(path: Path, n_bytes: Iterable[int]) -> None:
     """Refuse arrays of more bytes than those of a file may take."""
     if (promised := sum(map(int, n_bytes))) > most_bytes(path):
-        raise ValueError(
-            f"{path.name} must not hold arrays of more than {TIMES} times its size and "
-            f"{ALWAYS // 2**20} MiB, got {promised:.3g} bytes. Is it damaged? If not, save it uncompressed."
-        )
+        most = f"{TIMES} times its size and {ALWAYS // 2**20} MiB"
+        said = f"got {promised:.3g} bytes. Is it damaged? If not, save it uncompressed."
+        raise ValueError(f"{path.name} must not hold arrays of more than {most}, {said}")
 
 
 def decoded(raw: bytes) -> str:
@@ -148,10 +147,8 @@ def warn_of_widths(title: str, lines: Iterable[tuple[int, str]]) -> None:
     usual, few = np.bincount(lengths[:-1]).argmax(), max(1, RARE * len(found))
     odd = lengths[:-1] != usual
     if 0 < odd.sum() <= few:
-        warn_caller(
-            f"{title}, line {numbers[odd.argmax()]}: numbers must fill their columns, the line has "
-            f"{lengths[odd.argmax()]} characters, others {usual}. Is a digit or a sign lost?"
-        )
+        said = f"the line has {lengths[odd.argmax()]} characters, others {usual}. Is a digit or a sign lost?"
+        warn_caller(f"{title}, line {numbers[odd.argmax()]}: numbers must fill their columns, {said}")
     elif 0 < plus.sum() <= few:
         number = numbers[plus.argmax()]
         warn_caller(f"{title}, line {number}: a number has a plus sign, others have none. Is it one?")

@@ -59,11 +59,11 @@ class Opening:
         return [] if "\0" in text else [line.rstrip() for line in text.split("\n")]
 
     def begins(self, how: "bytes | str | Callable[[Opening], bool]") -> bool:
-        """Whether it begins as a pattern of bytes says, one of its lines in lower case, or a function."""
+        """Whether a pattern of bytes, one of the suffix or of lines in lower case, or a function says so."""
         if callable(how):
             return how(self)
-        text = self.head if isinstance(how, bytes) else "\n".join(self.lines[:30]).lower()
-        return re.match(how, text) is not None
+        texts = [self.head] if isinstance(how, bytes) else [self.suffix, "\n".join(self.lines[:30]).lower()]
+        return any(re.match(how, text) for text in texts)
 
 
 class Channel(NamedTuple):
@@ -143,11 +143,10 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> Channel:
     sizes = np.abs(values)
     largest = np.nanmax(sizes, initial=0.0)
     if (missing := np.isinf(values) if request.gaps else ~np.isfinite(values)).any():
-        first = f"the first after {dt * missing.argmax():.6g} s ({values[missing.argmax()]})"
-        raise ValueError(
-            f"{file}, {channel.name}: no samples may be missing, {missing.sum()} are, {first}. Cut the file "
-            "to one side, or use `io.read_channels_with_gaps`."
-        )
+        at = missing.argmax()
+        said = f"{missing.sum()} are, the first after {dt * at:.6g} s ({values[at]})"
+        advice = "Cut the file to one side, or use `io.read_channels_with_gaps`."
+        raise ValueError(f"{file}, {channel.name}: no samples may be missing, {said}. {advice}")
     if values.size < 2:
         raise ValueError(f"{file}, {channel.name}: at least 2 samples must be there, got {values.size}.")
     # a number of quite another size has a digit too many or too few in its exponent
@@ -286,10 +285,8 @@ def clock_column(columns: Columns, clock) -> int | None:
         matches = {k for k, label in enumerate(columns.labels) if asked in (k, label.text, label.name)}
         if len(matches) != 1:
             known = listed(texts) if any(texts) else f"0 to {len(texts) - 1}"
-            raise ValueError(
-                f"`clock` must be one of the columns of {columns.file} ({known}), got {shown(clock)}. Pass "
-                "the index (from 0) or the header name of the times."
-            )
+            said = f"got {shown(clock)}. Pass the index (from 0) or the header name of the times."
+            raise ValueError(f"`clock` must be one of the columns of {columns.file} ({known}), {said}")
         return matches.pop()
     if columns.stamp is not None:
         return columns.stamp
@@ -305,10 +302,9 @@ def clock_column(columns: Columns, clock) -> int | None:
     open_ = is_time or not columns.own or first.role in (None, "number")
     forward = len(columns.labels) > 1 and open_ and (np.diff(columns.values[:, 0]) > 0.0).mean() > 0.9
     if forward and first.text and first.role is None and not is_time and columns.own:
-        raise ValueError(
-            f"`clock` must be given, {columns.file} does not say whether {first.text!r}, which runs forward, "
-            "is the time. Call it time, or pass clock=False with `dt` and `columns`."
-        )
+        said = f"does not say whether {first.text!r}, which runs forward, is the time"
+        advice = "Call it time, or pass clock=False with `dt` and `columns`."
+        raise ValueError(f"`clock` must be given, {columns.file} {said}. {advice}")
     return 0 if forward else None
 
 
@@ -323,10 +319,8 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
         raise ValueError(f"{where}: the clock must have a time in every row, got none. Cut the row.")
     stated = 1.0 if timer == columns.stamp else label.seconds
     if asked is not None and label.known is not None and not np.isclose(label.known.factor, asked, rtol=1e-6):
-        raise ValueError(
-            f"`clock_units` must be those of the file, {file} states {label.text!r}, got {asked:g} s. Leave "
-            "it out, or correct the file."
-        )
+        said = f"got {asked:g} s. Leave it out, or correct the file."
+        raise ValueError(f"`clock_units` must be those of the file, {file} states {label.text!r}, {said}")
     if asked is None and label.unit is not None and not stated:
         raise ValueError(
             f"`clock_units` must be given, {file} states {label.unit!r} of its clock, which is no known unit "
