@@ -213,7 +213,7 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
         histories = [in_si(channel, own, recording) for channel in found]
         apart = len({history.start for history in histories}) > 1
         for channel, history in zip(found, histories, strict=True):
-            history = history._replace(values=own.scale * history.values)
+            np.multiply(history.values, own.scale, out=history.values)
             if apart:
                 history = history._replace(name=f"{recording.file} ({channel.name})")
             if own.anchors is not None:  # two readings whose true times are known
