@@ -185,10 +185,10 @@ def checked(asked: Request) -> Request:
         raise ValueError(f"`dt` must be given with clock=False. {checks.SAMPLING_INTERVAL}")
     if asked.sensitivity is not None:
         sensitivity_of(asked.sensitivity, asked.quantity)
-    seconds = asked.clock_units
+    clock, seconds = asked.clock, asked.clock_units
     return asked._replace(
         dt=None if asked.dt is None else checks.check_step(asked.dt),
-        clock=asked.clock if asked.clock in (None, False) else check_column(asked.clock, "clock"),
+        clock=clock if clock is None or clock is False else check_column(clock, "clock"),
         clock_units=None if seconds is None else unit_factor(seconds, "time", "clock_units"),
         skip=checks.check_integer(asked.skip, "skip", least=0, advice="It counts rows at the start."),
     )
