@@ -7,35 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pymc_features._checks import (
-    LARGEST_COUNT,
-    SAMPLING_INTERVAL,
-    as_list,
-    check_choice,
-    check_file,
-    check_finite,
-    check_flag,
-    check_integer,
-    check_number,
-    check_path,
-    check_positive,
-    check_step,
-    is_number,
-    listed,
-    message,
-    shown,
-    single,
-    step_or_rate,
-)
-from pymc_features.io.formats import read_file
-from pymc_features.io.formats.libraries import is_source, recording_in
-from pymc_features.io.reading.clock import Clock, common_window, no_common_time, without_clocks
+from pymc_features import _checks as checks
+from pymc_features.exceptions import ChannelWarning
+from pymc_features.io.formats import read_source
+from pymc_features.io.formats.libraries import is_source
 from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
-from pymc_features.io.reading.recording import Recording, Request, chosen, in_si
+from pymc_features.io.reading.recording import Request, chosen, in_si
 
 if TYPE_CHECKING:
     import xarray as xr
 
+#: What makes no difference to how a file is read.
+NOT_OF_FILE = dict.fromkeys(("columns", "units", "quantity", "sensitivity", "scale", "delay", "anchors"))
 REACH = 10  # samples by which gaps are wider once a channel is moved to other times
 #: What may be said of all sensors or of each on its own, and of each alone.
 OF_ALL = "units", "quantity", "sensitivity", "dt", "clock", "clock_units", "skip", "wrapped"
@@ -76,16 +59,14 @@ def read_channels(
         variables; a matrix there is several sensors. All but the clock by default.
     units : str or float, optional
         "g" (9.81 m/s^2), "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal", "in/s^2" or "ft/s^2", or m/s^2 per file
-        unit, positive; needed where headers such as ``acc [g]``, or a MATLAB text variable ``units``, do not
-        state it.
+        unit, positive; where headers such as ``acc [g]``, or MATLAB's ``units``, do not state it.
     dt : float, optional
         Sampling interval [s], positive; stated by the clock, or by MATLAB's ``dt`` or ``fs`` [Hz].
     fs : float, optional
         Sampling rate [Hz], in place of `dt`.
     clock : int, str or False, optional
-        Column or variable with the times; by default time stamps, or one called t, time, timestamp, date,
-        elapsed or SampleTimeFine, else a first column that runs forward. False: there is none, the files
-        start together.
+        Column or variable with the times; by default time stamps, or one called t, time, date, elapsed and
+        so on, else a first column that runs forward. False: there is none, the files start together.
     clock_units : str or float, optional
         Of the clock: "s", "ms", "us", "ns", "min", "h", "d" or seconds per count. Headers such as
         ``time [ms]`` state it; without a statement seconds, of SampleTimeFine microseconds.
@@ -96,8 +77,7 @@ def read_channels(
         neither labels nor a clock tell.
     resample : float, optional
         Sampling rate [Hz] of all sensors, for files of different rates: each is moved to the same times, as
-        a band-limited history without what this rate cannot carry, so that a fraction of a sample between
-        clocks is no lag. Gaps are wider by 10 samples on each side.
+        a band-limited history without what this rate cannot carry. Gaps are wider by 10 samples on each side.
 
     Returns
     -------
@@ -121,8 +101,7 @@ def read_channels(
     -----
     ChannelWarning
         If a channel looks clipped or interrupted, is a copy of another or implausible in these units, if the
-        first samples are empty, or the clocks are not simultaneous. `signals.check_channels` compares the
-        sensors.
+        first samples are empty, or the clocks are not simultaneous.
     UserWarning
         If `dt` contradicts a file, or the times of a MiniSEED file its rate.
 
@@ -136,7 +115,7 @@ def read_channels(
     ...     read_channels(path).sel(sensor="roof").values
     array([0.   , 2.943, 0.981])
     """
-    asked = Request(None, units, step_or_rate(dt, fs), clock, clock_units, skip, wrapped)
+    asked = Request(checks.step_or_rate(dt, fs), clock, clock_units, skip, wrapped, units=units)
     return _read(files, columns, checked(asked), resample)
 
 
@@ -166,8 +145,7 @@ def read_channels_with_gaps(
     Returns
     -------
     xarray.DataArray (sensor, time)
-        As from `read_channels`, NaN in the gaps. Functions of `signals` and the feature likelihoods take it,
-        a motion of the base must be without gaps.
+        As from `read_channels`, NaN in the gaps. A motion of the base must be without gaps.
 
     Raises
     ------
@@ -192,39 +170,28 @@ def read_channels_with_gaps(
     array([[ 0.1,  0. , -0.2,  nan,  0.1],
            [ 0. ,  nan,  0.1,  nan,  0.2]])
     """
-    dt = step_or_rate(dt, fs)
-    asked = Request(None, units, dt, clock, clock_units, skip, wrapped, gaps=True)
+    asked = Request(checks.step_or_rate(dt, fs), clock, clock_units, skip, wrapped, gaps=True, units=units)
     return _read(files, columns, checked(asked), resample)
 
 
 def checked(asked: Request) -> Request:
     """What the caller says of all files, or of the file of one sensor, checked."""
-    check_choice(asked.quantity, "quantity", QUANTITIES)
+    checks.check_choice(asked.quantity, "quantity", QUANTITIES)
     if asked.wrapped is not None:
-        check_flag(asked.wrapped, "wrapped", "Leave it out for what the file shows.")
+        checks.check_flag(asked.wrapped, "wrapped", "Leave it out for what the file shows.")
     if asked.clock is True:
         raise TypeError("`clock` must be a column, False or None, got True.")
     if asked.clock is False and asked.dt is None:
-        raise ValueError(f"`dt` must be given with clock=False. {SAMPLING_INTERVAL}")
+        raise ValueError(f"`dt` must be given with clock=False. {checks.SAMPLING_INTERVAL}")
     if asked.sensitivity is not None:
         sensitivity_of(asked.sensitivity, asked.quantity)
-    seconds = asked.clock_units
+    clock, seconds = asked.clock, asked.clock_units
     return asked._replace(
-        dt=None if asked.dt is None else check_step(asked.dt),
-        clock=asked.clock
-        if asked.clock is None or asked.clock is False
-        else check_column(asked.clock, "clock"),
+        dt=None if asked.dt is None else checks.check_step(asked.dt),
+        clock=clock if clock is None or clock is False else check_column(clock, "clock"),
         clock_units=None if seconds is None else unit_factor(seconds, "time", "clock_units"),
-        skip=check_integer(asked.skip, "skip", least=0, advice="It counts rows at the start."),
+        skip=checks.check_integer(asked.skip, "skip", least=0, advice="It counts rows at the start."),
     )
-
-
-def recording_from(source, request: Request, name: str = "files") -> Recording:
-    """The channels of a file, or of what is in memory already."""
-    if is_source(source):
-        return recording_in(source, request)
-    path = check_file(source, name)
-    return read_file(path, request)
 
 
 def _read(files, columns, request: Request, resample) -> "xr.DataArray":
@@ -235,39 +202,39 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     from pymc_features.signals.check import check_each
 
     if resample is not None:
-        resample = check_positive(resample, "resample", "Pass the sampling rate in Hz.")
-    kept, names, rows, clocks, quantities, delays = {}, [], [], [], [], []
-    for label, source, own, settings in _sensors(files, columns, request, bool(resample)):
-        asked = own._replace(columns=None, units=None, quantity="", sensitivity=None)
-        key = id(source) if is_source(source) else str(source), asked
-        recording = kept[key] = kept.get(key) or recording_from(source, own)
+        resample = checks.check_positive(resample, "resample", "Pass the sampling rate in Hz.")
+    kept, names, measured, delays = {}, [], [], []
+    for label, source, own in _sensors(files, columns, request, bool(resample)):
+        said = own._replace(**NOT_OF_FILE)
+        key = id(source) if is_source(source) else str(source), said
+        recording = kept[key] = kept.get(key) or read_source(source, said)
         found = chosen(recording, own.columns)
         names.append((label, [channel.name for channel in found]))
         histories = [in_si(channel, own, recording) for channel in found]
-        apart = len({clock.start for _, clock in histories}) > 1
-        for channel, (history, clock) in zip(found, histories, strict=True):
-            clock = clock._replace(file=f"{recording.file} ({channel.name})") if apart else clock
-            if "anchors" in settings:  # two readings whose true times are known
-                (first, at_first), (last, at_last) = settings["anchors"]
+        apart = len({history.start for history in histories}) > 1
+        for channel, history in zip(found, histories, strict=True):
+            np.multiply(history.values, own.scale, out=history.values)
+            if apart:
+                history = history._replace(name=f"{recording.file} ({channel.name})")
+            if own.anchors is not None:  # two readings whose true times are known
+                (first, at_first), (last, at_last) = own.anchors
                 ratio = (at_last - at_first) / (last - first)
-                start = at_first + ratio * ((clock.start or 0.0) - first)
-                clock = clock._replace(dt=ratio * clock.dt, start=start)
-            rows.append(settings["scale"] * history if "scale" in settings else history)
-            clocks.append(clock)
-            quantities.append(own.quantity)
-            delays.append(settings.get("delay"))
-    if any(delay is not None for delay in delays) and all(clock.start is None for clock in clocks):
-        clocks = [clock._replace(start=0.0) for clock in clocks]
+                start = at_first + ratio * ((history.start or 0.0) - first)
+                history = history._replace(dt=ratio * history.dt, start=start)
+            measured.append(history)
+            delays.append(own.delay)
+    if any(delay is not None for delay in delays) and all(history.start is None for history in measured):
+        measured = [history._replace(start=0.0) for history in measured]
     # a clock is set back by whole samples unless it is resampled, and its history moved by the rest
-    delays = [delay or 0.0 for delay in delays]
-    whole = [
-        d if resample else clock.dt * round(d / clock.dt) for d, clock in zip(delays, clocks, strict=True)
+    late = np.array([delay or 0.0 for delay in delays])
+    steps = np.array([history.dt for history in measured])
+    whole = late if resample else steps * np.rint(late / steps)
+    measured = [
+        history if history.start is None else history._replace(start=history.start - by)
+        for history, by in zip(measured, whole.tolist(), strict=True)
     ]
-    clocks = [
-        clock if clock.start is None else clock._replace(start=clock.start - late)
-        for clock, late in zip(clocks, whole, strict=True)
-    ]
-    values, step, start = _resampled(rows, clocks, resample) if resample else _aligned(rows, clocks)
+    values, step, start = _resampled(measured, resample) if resample else _aligned(measured)
+    quantities = [history.quantity for history in measured]
     sensors = _sensor_names(names, files, columns)
     time = ("time", step * np.arange(values.shape[1]), {"units": "s"})
     coords, name = {"sensor": sensors, "time": time}, quantities[0]
@@ -276,111 +243,158 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
         coords |= {"quantity": ("sensor", quantities), "units": ("sensor", [SI[q] for q in quantities])}
         name, attrs = "measured", {"start": start}
     channels = xr.DataArray(values, coords, ("sensor", "time"), name=name, attrs=attrs)
-    rest = {s: d - w for s, d, w in zip(sensors, delays, whole, strict=True) if abs(d - w) > 1e-9 * step}
+    rest = {s: by for s, by in zip(sensors, (late - whole).tolist(), strict=True) if abs(by) > 1e-9 * step}
     channels = correct(channels, delay=rest) if rest else channels
     if (accelerations := np.array(quantities) == "acceleration").any():
         check_each(channels if accelerations.all() else channels[accelerations])
     return channels
 
 
-def _aligned(rows, clocks: list[Clock]) -> tuple[np.ndarray, float, float]:
-    """Values (sensor, time) in the common window, by whole samples; the step and the start [s]."""
-    window = common_window(clocks)
-    parts = [row[k : k + window.n_times] for row, k in zip(rows, window.first, strict=True)]
-    return np.array(parts), window.dt, window.start
+def _aligned(channels: list) -> tuple[np.ndarray, float, float]:
+    """Values (sensor, time) of the times that all channels have, by whole samples; step and start [s]."""
+    first = channels[0]
+    for channel in channels[1:]:
+        n = min(first.values.size, channel.values.size)
+        if abs(channel.dt - first.dt) * (n - 1) > 0.5 * first.dt:
+            raise ValueError(
+                f"Sensors must have a common clock, the step is {first.dt:.10g} s in {first.name} and "
+                f"{channel.dt:.10g} s in {channel.name}. Pass `resample`, the rate [Hz] of all."
+            )
+    starts, latest, _ = _common_span(channels)
+    sizes = np.array([channel.values.size for channel in channels])
+    if first.start is None:
+        if len(set(sizes)) > 1:
+            said = checks.listed([f"{channel.name} {channel.values.size}" for channel in channels])
+            said = f"{said}. Cut them to the same window first."
+            raise ValueError(f"Sensors without clocks must have the same number of samples, got {said}")
+        return np.array([channel.values for channel in channels]), first.dt, 0.0
+    dt = float(f"{np.mean([channel.dt for channel in channels]):.10g}")
+    steps = int(np.rint((latest - first.start) / dt))  # of the first clock, to which the others are aligned
+    start = first.start + steps * dt
+    skipped = np.rint((start - starts) / dt).astype(int)
+    n_times = (sizes - skipped).min()
+    off = starts + skipped * dt - start
+    different = {(c.name, c.values.size, by): c for c, by in zip(channels, off, strict=True)}
+    for (name, size, late), channel in different.items():
+        if abs(late) > 0.05 * dt + 2.0 * channel.quantum:
+            checks.warn_caller(
+                f"{name}: its samples come {1e3 * abs(late):.3g} ms ({abs(late) / dt:.2g} samples) "
+                f"{'after' if late > 0.0 else 'before'} those of {first.name} by the clocks; they are taken "
+                "as simultaneous. Pass `resample` if that matters.",
+                ChannelWarning,
+            )
+        if n_times < 0.5 * size:
+            checks.warn_caller(
+                f"{name}: only {n_times} of its {size} samples are in the window that all sensors have in "
+                "common. Check for a file that starts late or ends early.",
+                ChannelWarning,
+            )
+    rows = [channel.values[k : k + n_times] for channel, k in zip(channels, skipped, strict=True)]
+    return np.array(rows), dt, start
 
 
-def _resampled(rows, clocks: list[Clock], rate: float) -> tuple[np.ndarray, float, float]:
-    """Values (sensor, time) at a common rate [Hz], each sensor moved to the same times."""
+def _common_span(channels: list) -> tuple[np.ndarray, float, float]:
+    """Starts [s], 0 without clocks, which all channels have or none; start and stop of their common time."""
+    bare = [channel.name for channel in channels if channel.start is None]
+    if bare and len(bare) < len(channels):
+        raise ValueError(
+            f"Sensors must have a common clock, {bare[0]} has none and others do. Pass `clock`, the "
+            "column with the times, or clock=False and `dt` if all files start together."
+        )
+    starts = np.array([channel.start or 0.0 for channel in channels])
+    stops = starts + [(channel.values.size - 1) * channel.dt for channel in channels]
+    if stops.min() - starts.max() < 0.99 * channels[0].dt:
+        spans = zip(channels, starts, stops, strict=True)
+        ranges = dict.fromkeys(f"{c.name} {start:.6g} s to {stop:.6g} s" for c, start, stop in spans)
+        raise ValueError(
+            f"Sensors must have a common clock, these have no time in common: {checks.listed(list(ranges))}. "
+            "Pass clock=False and `dt` if the files start together, or one event only."
+        )
+    return starts, float(starts.max()), float(stops.min())
+
+
+def _resampled(channels: list, rate: float) -> tuple[np.ndarray, float, float]:
+    """Values (sensor, time) at a common rate [Hz], each moved to the same times; step and start [s]."""
     from pymc_features import band_limited
     from pymc_features.signals.channels import filled, widened
 
-    if without_clocks(clocks):
-        clocks = [clock._replace(start=0.0) for clock in clocks]
-    start, stop = max(clock.start for clock in clocks), min(clock.stop for clock in clocks)
-    if stop <= start:
-        raise no_common_time(clocks)
+    starts, start, stop = _common_span(channels)
     n_times = (stop - start) * rate * (1.0 + 1e-12) + 1.0
-    if not 2.0 <= n_times < LARGEST_COUNT:
+    if not 2.0 <= n_times < checks.LARGEST_COUNT:
         what = f"a rate that makes 2 samples or more of the {stop - start:.4g} s that all have in common"
-        raise ValueError(message("resample", what, f"{rate:g} Hz"))
+        raise ValueError(checks.message("resample", what, f"{rate:g} Hz"))
     times = np.arange(int(n_times)) / rate
     found = []
-    for row, clock in zip(rows, clocks, strict=True):
-        whole, gaps = filled(row)
-        late = times + (start - clock.start)
-        values = band_limited.at_times(whole[None], clock.dt, late, 1.0 / rate)[0]
-        nearest = np.rint(late / clock.dt).astype(np.int64).clip(0, row.size - 1)
+    for begin, channel in zip(starts, channels, strict=True):
+        whole, gaps = filled(channel.values)
+        late = times + (start - begin)
+        values = band_limited.at_times(whole[None], channel.dt, late, 1.0 / rate)[0]
+        nearest = np.rint(late / channel.dt).astype(np.int64).clip(0, whole.size - 1)
         found.append(np.where(widened(gaps, REACH)[nearest], np.nan, values))
     return np.array(found), 1.0 / rate, start
 
 
-def _sensors(files, columns, request: Request, resampled: bool) -> list[tuple[str, object, Request, dict]]:
-    """Name, source, request and settings of its own of each entry of `files`."""
-    picked = None
-    if columns is not None:
-        several = list(columns.values()) if isinstance(columns, Mapping) else as_list(columns)
-        picked = [check_column(column, "columns") for column in ([columns] if several is None else several)]
-    if isinstance(files, str | PathLike) or is_source(files):
-        files = [files]
+def _sensors(files, columns, request: Request, resampled: bool) -> list[tuple[str, object, Request]]:
+    """Name and source of each entry of `files`, and what is said of it."""
+    several = list(columns.values()) if isinstance(columns, Mapping) else checks.as_list(columns)
+    picked = [columns] if several is None and columns is not None else several
     if isinstance(files, Mapping):
         entries = [(str(name), source) for name, source in files.items()]
-    elif (sources := as_list(files)) is not None:
-        entries = [(None, source) for source in sources]
     else:
-        what = "a path, several, or a mapping of sensor names to paths"
-        raise TypeError(message("files", what, shown(files)))
+        sources = [files] if isinstance(files, str | PathLike) or is_source(files) else checks.as_list(files)
+        if sources is None:
+            what = "a path, several, or a mapping of sensor names to paths"
+            raise TypeError(checks.message("files", what, checks.shown(files)))
+        entries = [(None, source) for source in sources]
     for name, some in (("files", entries), ("columns", picked)):
         if some == []:
             raise ValueError(f"`{name}` must name at least one, got none.")
+    request = request._replace(columns=picked and [check_column(column, "columns") for column in picked])
     found = []
     for name, source in entries:
-        own, settings = request._replace(columns=picked), {}
+        own = request
         if isinstance(source, Mapping):
-            source, own, settings = _of_sensor(name, dict(source), own, resampled)
+            source, own = source.get("file"), _of_sensor(name, source, request, resampled)
         if name is None:
-            name = "" if is_source(source) else check_path(source, "files").stem
-        found.append((name, source, own, settings))
+            name = "" if is_source(source) else checks.check_path(source, "files").stem
+        found.append((name, source, own))
     return found
 
 
-def _of_sensor(name, given: dict, request: Request, resampled: bool) -> tuple[object, Request, dict]:
-    """The file of one sensor, the request for it, and its settings, from a mapping."""
-    unknown = [key for key in given if key not in OF_SENSOR]
-    if unknown or "file" not in given:
+def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> Request:
+    """What is said of the file of one sensor by a mapping."""
+    unknown = [key for key in said if key not in OF_SENSOR]
+    if unknown or "file" not in said:
         what = f"`file` and any of {', '.join(OF_SENSOR[1:])} of {name!r}"
-        raise ValueError(message("files", what, listed(unknown or list(given))))
-    settings = {key: check_number(given.pop(key), key) for key in ("scale", "delay") if key in given}
-    for key, value in settings.items():
-        check_finite(np.float64(value), key)
-    if settings.get("scale") == 0.0:
+        raise ValueError(checks.message("files", what, checks.listed(unknown or list(said))))
+    own = request._replace(**{key: said[key] for key in OF_ALL if key in said})
+    for key in ("scale", "delay"):
+        if key in said:
+            own = own._replace(**{key: checks.check_number(said[key], key)})
+            checks.check_finite(np.float64(said[key]), key)
+    if own.scale == 0.0:
         raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
-    if "anchors" in given:
+    if "anchors" in said:
         if not resampled:
-            raise ValueError(
-                f"`resample` must be given with `anchors` of {name!r}, got none. Pass a rate [Hz]."
-            )
-        pairs = [as_list(pair) or [] for pair in as_list(given["anchors"]) or []]
-        numbers = [check_number(value, "anchors") for pair in pairs for value in pair]
-        two = [len(pair) for pair in pairs] == [2, 2]
-        if not two or not (numbers[2] > numbers[0] and numbers[3] > numbers[1]):
+            raise ValueError(f"`resample` must be given with `anchors` of {name!r}, got none. Pass it [Hz].")
+        pairs = [checks.as_list(pair) or [] for pair in checks.as_list(said["anchors"]) or []]
+        pairs = [[checks.check_number(value, "anchors") for value in pair] for pair in pairs]
+        if [len(pair) for pair in pairs] != [2, 2] or not (np.diff(pairs, axis=0) > 0.0).all():
             what = "two pairs of a reading of the clock and its true time in seconds, the later second"
-            raise ValueError(message("anchors", what, shown(given["anchors"])))
-        settings["anchors"] = numbers[:2], numbers[2:]
-    own = request._replace(**{key: given[key] for key in OF_ALL if key in given})
-    if "fs" in given:
-        own = own._replace(dt=step_or_rate(given.get("dt"), given["fs"]))
-    own = checked(own)
-    if given.get("column") is not None:
-        own = own._replace(columns=[check_column(given["column"], "column")])
-    return given["file"], own, settings
+            raise ValueError(checks.message("anchors", what, checks.shown(said["anchors"])))
+        own = own._replace(anchors=pairs)
+    if "fs" in said:
+        own = own._replace(dt=checks.step_or_rate(said.get("dt"), said["fs"]))
+    if said.get("column") is not None:
+        own = own._replace(columns=[check_column(said["column"], "column")])
+    return checked(own)
 
 
 def check_column(column, name: str) -> int | str:
     """The index or the name of a column."""
-    value = single(column)
-    if not (isinstance(value, str) or (is_number(value) and isinstance(value, Integral))):
-        raise TypeError(message(name, "an index or a name", shown(column)))
+    value = checks.single(column)
+    if not (isinstance(value, str) or (checks.is_number(value) and isinstance(value, Integral))):
+        raise TypeError(checks.message(name, "an index or a name", checks.shown(column)))
     return value if isinstance(value, str) else int(value)
 
 
@@ -396,8 +410,6 @@ def _sensor_names(found, files, columns) -> list[str]:
             alone = not label or (len(found) == 1 and not named)
             names += own if alone else [f"{label} {name}" for name in own]
     if len(set(names)) < len(names):
-        raise ValueError(
-            f"Sensors must have different names, got {listed(names)}. Pass `files` or `columns` as a "
-            "mapping of names."
-        )
+        said = f"{checks.listed(names)}. Pass `files` or `columns` as a mapping of names."
+        raise ValueError(f"Sensors must have different names, got {said}")
     return names

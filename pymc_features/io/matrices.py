@@ -23,14 +23,7 @@ from scipy.io import mminfo, mmread
 from pymc_features._checks import check_file, listed
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.formats.text import read_columns
-from pymc_features.io.reading.lines import (
-    Lines,
-    by_library,
-    check_size,
-    column_width,
-    shortened,
-    to_count,
-)
+from pymc_features.io.reading.lines import Lines, by_library, check_size, column_width, shortened, to_count
 from pymc_features.io.reading.recording import Request
 
 MOST_ROWS = 10**6  # of a sparse matrix with fewer bytes in its file
@@ -56,48 +49,55 @@ class Matrices(dict):
 def read_mtx(path: Path) -> Matrices:
     """A matrix of Matrix Market or of Abaqus, which have the same ending."""
     lines = Lines(path)
-    if not lines.text.lstrip().lower().startswith("%%matrixmarket"):
-        return _abaqus(path, lines)
+    if not lines.raw.lstrip().lower().startswith(b"%%matrixmarket"):
+        # lines of node, direction, node, direction and value, or of row, column and value
+        entries, labels = _numbers(lines), []
+        if entries.shape[1] == 5:
+            pairs = np.vstack([entries[:, :2], entries[:, 2:4]]).astype(np.int64)
+            freedoms, numbers = np.unique(pairs, axis=0, return_inverse=True)
+            labels = [_label(*freedom) for freedom in freedoms]
+            entries = np.column_stack([numbers.reshape(2, -1).T + 1.0, entries[:, 4]])
+        return _assembled(path, entries, labels=labels)
     *shape, n_entries, layout, field, symmetry = mminfo(path)
-    if field == "complex":
-        return Matrices({path.stem: np.empty((1, 1), dtype=complex)})
     square, sign = shape[0] == shape[1], SIGNS.get(symmetry)
     if field not in ("real", "double", "integer") or sign is None or min(shape) < 1 or (sign and not square):
         what = f"{field} {symmetry}, {shape[0]} x {shape[1]}"
         raise lines.error("the matrix must be real, and general, symmetric or skew-symmetric", what)
     lines.number = next(number for number, line in lines if not line.startswith("%"))  # that of the size
-    body = _numbers(lines, 3 if layout == "coordinate" else 1)  # of 1.5x SciPy would take the beginning
-    if layout == "array":
+    coordinate = layout == "coordinate"
+    body = _numbers(lines, 3 if coordinate else 1)  # of 1.5x SciPy would take the beginning
+    if not coordinate:
         check_size(path, [8 * shape[0] * shape[1]])
         # of symmetric ones the columns from the diagonal on stand one below the other, of skew ones below it
         n_entries = (shape[0] * (shape[0] + int(sign))) // 2 if sign else shape[0] * shape[1]
     if len(body) != n_entries:
         raise lines.error(f"the file must hold the {n_entries} entries that it announces", len(body))
-    coordinate = layout == "coordinate"
-    return Matrices({path.stem: _assembled(path, body, tuple(shape), sign) if coordinate else mmread(path)})
+    return _assembled(path, body, shape, sign) if coordinate else Matrices({path.stem: mmread(path)})
 
 
 def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
     """Rows of numbers (row, column) below the header; three or five, by default, as Abaqus has them."""
-    mark = "," if n_columns is None else " "
-    rows = (row.replace(mark, " ") for number, row in lines if number > lines.number)
-    rows = [row for row in rows if row[:1] not in "*%"]
+    rows = [row for number, row in lines if number > lines.number and row[:1] not in "*%"]
+    rows = [row.replace(",", " ") for row in rows] if n_columns is None else rows
     count = len(rows[0].split()) if rows else n_columns or 0
     try:
         if count not in ((3, 5) if n_columns is None else (n_columns,)):
             raise ValueError(f"got {count} in the first")
         return np.loadtxt(StringIO("\n".join(rows)), ndmin=2, comments=None).reshape(-1, count)
     except ValueError as error:
-        counted = f"{n_columns} numbers" if n_columns else "%%MatrixMarket above, or 3 or 5 numbers"
-        what = f"{counted} in a line ({shortened(error)})"
-        raise ValueError(f"{lines.title} must hold {what}. Export it again.") from None
+        what = f"{n_columns} numbers" if n_columns else "%%MatrixMarket above, or 3 or 5 numbers"
+        what = f"must hold {what} in a line ({shortened(error)}). Export it again."
+        raise ValueError(f"{lines.title} {what}") from None
 
 
-def _assembled(path: Path, entries: np.ndarray, shape: tuple[int, int], sign: float):
+def _assembled(path: Path, entries: np.ndarray, shape=None, sign=None, labels=()) -> Matrices:
     """The matrix of rows, columns (from 1) and values (entry, 3); `sign` of the half that is not stored."""
+    places = entries[:, :2]
+    shape = (len(labels) or int(places.max(initial=0)),) * 2 if shape is None else tuple(shape)
+    both = (places[:, 0] > places[:, 1]).any() and (places[:, 0] < places[:, 1]).any()
+    sign = float(not both) if sign is None else sign
     if max(shape) > max(path.stat().st_size, MOST_ROWS):
         check_size(path, [8 * size for size in shape])
-    places = entries[:, :2]
     wrong = ((places != np.rint(places)) | (places < 1) | (places > shape)).any(axis=1)
     if wrong.any():
         what = f"from 1 to {shape[0]} and {shape[1]}, got {places[wrong][0].tolist()}"
@@ -105,7 +105,7 @@ def _assembled(path: Path, entries: np.ndarray, shape: tuple[int, int], sign: fl
     rows, columns = (places - 1).astype(np.int64).T
     values, off = entries[:, 2], rows != columns
     problem = ""
-    if sign and (rows > columns).any() and (rows < columns).any():
+    if sign and both:
         problem = "a symmetric matrix must be stored by one half, got entries in both. Call it general"
     elif sign < 0.0 and not off.all():
         problem = "a skew-symmetric matrix must have no diagonal, got entries there. Correct it"
@@ -116,27 +116,8 @@ def _assembled(path: Path, entries: np.ndarray, shape: tuple[int, int], sign: fl
     if sign:
         rows, columns = np.r_[rows, columns[off]], np.r_[columns, rows[off]]
         values = np.r_[values, sign * values[off]]
-    return sparse.coo_array((values, (rows, columns)), shape=shape)
-
-
-def _square(path: Path, entries: np.ndarray, size: int | None = None):
-    """A square matrix of which one half is stored, or both."""
-    rows, columns = entries[:, 0], entries[:, 1]
-    both = bool((rows > columns).any() and (rows < columns).any())
-    size = int(entries[:, :2].max(initial=0)) if size is None else size
-    return _assembled(path, entries, (size, size), 0.0 if both else 1.0)
-
-
-def _abaqus(path: Path, lines: Lines) -> Matrices:
-    """*MATRIX OUTPUT: lines of node, direction, node, direction and value, or of row, column and value."""
-    entries = _numbers(lines)
-    if entries.shape[1] == 3:
-        return Matrices({path.stem: _square(path, entries)})
-    pairs = np.vstack([entries[:, :2], entries[:, 2:4]])
-    freedoms, numbers = np.unique(pairs.astype(np.int64), axis=0, return_inverse=True)
-    places = numbers.reshape(2, -1).T + 1.0
-    matrix = _square(path, np.column_stack([places, entries[:, 4]]), len(freedoms))
-    return Matrices({path.stem: matrix}, {path.stem: [_label(node, axis) for node, axis in freedoms]})
+    matrix = sparse.coo_array((values, (rows, columns)), shape=shape)
+    return Matrices({path.stem: matrix}, {path.stem: labels} if labels else {})
 
 
 def _label(node, direction) -> str:
@@ -147,13 +128,10 @@ def _label(node, direction) -> str:
 
 def read_calculix(path: Path) -> Matrices:
     """Stiffness (.sti) or mass (.mas): row, column, value; degrees of freedom in the .dof beside it."""
-    entries = _numbers(Lines(path), 3)
     beside = path.with_suffix(".dof")
-    if not beside.exists():
-        return Matrices({path.stem: _square(path, entries)})
-    pairs = [line.split()[0].partition(".") for _, line in Lines(beside)]
+    pairs = [line.split()[0].partition(".") for _, line in Lines(beside)] if beside.exists() else []
     labels = [_label(to_count(node) or 0, to_count(axis) or 0) for node, _, axis in pairs]
-    return Matrices({path.stem: _square(path, entries, len(labels))}, {path.stem: labels})
+    return _assembled(path, _numbers(Lines(path), 3), labels=labels)
 
 
 def read_harwell_boeing(path: Path) -> Matrices:
@@ -173,20 +151,19 @@ def read_harwell_boeing(path: Path) -> Matrices:
     n_rows, n_columns, n_entries = sizes[:3]
     check_size(path, [8 * n_columns, 16 * n_entries])
     widths = [column_width(formats[slice(*place)], 0) for place in ((0, 16), (16, 32), (32, 52))]
-    starts = lines.fields(n_columns + 1, widths[0], "first entries of the columns")
-    rows = lines.fields(n_entries, widths[1], "rows of the entries")
-    values = lines.fields(n_entries, widths[2], "entries")
+    starts = lines.numbers(n_columns + 1, "first entries of the columns", widths[0])
+    rows = lines.numbers(n_entries, "rows of the entries", widths[1])
+    values = lines.numbers(n_entries, "entries", widths[2])
     if starts[0] != 1 or (np.diff(starts) < 0).any() or starts[-1] != n_entries + 1:
         raise lines.error("the first entries of the columns must rise to the last", starts[-1])
     columns = np.repeat(np.arange(1, n_columns + 1), np.diff(starts).astype(np.int64))
-    sign = 1.0 if kind == "RSA" else 0.0
-    matrix = _assembled(path, np.column_stack([rows, columns, values]), (n_rows, n_columns), sign)
-    beside = path.with_suffix(".mapping")  # lines of equation, node and name, UX or ROTZ
-    if not beside.exists():
-        return Matrices({path.stem: matrix})
-    listed_ = [line.split() for _, line in Lines(beside)]
-    named = {int(row[0]): f"{row[1]}:{ANSYS[row[2]]}" for row in listed_ if row[2:3] and row[2] in ANSYS}
-    return Matrices({path.stem: matrix}, {path.stem: [named.get(k, str(k)) for k in range(1, n_rows + 1)]})
+    entries = np.column_stack([rows, columns, values])
+    beside, labels = path.with_suffix(".mapping"), []  # lines of equation, node and name, UX or ROTZ
+    if beside.exists():
+        words = [line.split() for _, line in Lines(beside)]
+        names = {int(row[0]): f"{row[1]}:{ANSYS[row[2]]}" for row in words if row[2:3] and row[2] in ANSYS}
+        labels = [names.get(k, str(k)) for k in range(1, n_rows + 1)]
+    return _assembled(path, entries, (n_rows, n_columns), float(kind == "RSA"), labels)
 
 
 def read_nastran(path: Path) -> Matrices:
@@ -199,9 +176,6 @@ def read_nastran(path: Path) -> Matrices:
         found = bulk.rddmig(str(path))
     labels = {name: [_label(*pair) for pair in frame.index] for name, frame in found.items()}
     return Matrices({name: frame.to_numpy() for name, frame in found.items()}, labels)
-
-
-# --- one way in ------------------------------------------------------------------------------------------
 
 
 def read_matrices(path: str | PathLike) -> Matrices:
@@ -249,33 +223,25 @@ def read_matrices(path: str | PathLike) -> Matrices:
         with warnings.catch_warnings():  # SciPy announces another class of sparse matrix
             warnings.simplefilter("ignore", DeprecationWarning)
             found = reader(path)
-    except ImportError:
-        raise
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
-        if str(error).startswith(path.name):
+        if isinstance(error, ImportError) or str(error).startswith(path.name):
             raise
-        raise ValueError(
-            f"{path.name} must hold matrices, it cannot be read ({shortened(error)}). Save it again."
-        ) from error
+        said = f"it cannot be read ({shortened(error)}). Save it again."
+        raise ValueError(f"{path.name} must hold matrices, {said}") from error
     floats = {}
     for name, value in found.items():
         if getattr(value, "ndim", 0) not in (1, 2) or value.dtype.kind not in "biuf" or 0 in value.shape:
             continue
         if sparse.issparse(value):
-            value = sparse.csc_array(value, dtype=np.float64)
+            floats[name] = value = sparse.csc_array(value, dtype=np.float64)
         else:
             value = np.array(value, dtype=np.float64)
-            value = value.ravel() if 1 in value.shape and value.size > 1 else value  # MATLAB has no vectors
+            floats[name] = value.ravel() if 1 in value.shape and value.size > 1 else value  # as in MATLAB
         if not np.isfinite(value.data if sparse.issparse(value) else value).all():
-            raise ValueError(
-                f"{path.name}, `{name}`: entries must be finite numbers, got NaN or infinity. Correct it."
-            )
-        floats[name] = value
+            raise ValueError(f"{path.name}, `{name}`: entries must be finite, got NaN or infinity.")
     if not floats:
-        held = listed(sorted(found)) if found else "nothing"
-        raise ValueError(
-            f"{path.name} must hold matrices of real numbers, got {held}. Save M, C and K as variables."
-        )
+        held = f"{listed(sorted(found)) if found else 'nothing'}. Save M, C and K as variables."
+        raise ValueError(f"{path.name} must hold matrices of real numbers, got {held}")
     return Matrices(floats, {name: found.labels[name] for name in floats if name in found.labels})
 
 

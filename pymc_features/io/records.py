@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pymc_features._checks import as_list, message, shown, step_or_rate, warn_caller
-from pymc_features.io.channels import check_column, checked, recording_from
+from pymc_features.io.channels import check_column, checked
+from pymc_features.io.formats import read_source
 from pymc_features.io.reading.labels import G, role_of, unit_of
-from pymc_features.io.reading.recording import Channel, Recording, Request, chosen, in_si, named
+from pymc_features.io.reading.recording import Recording, Request, chosen, in_si, named
 from pymc_features.records import CyclicTest, Record
 
 if TYPE_CHECKING:
@@ -43,19 +44,16 @@ def read_record(
         (data sets 58), MATLAB (``.mat``, also v7.3), or text, columns of numbers separated by comma,
         semicolon, tab or blanks. One column is the acceleration, two are time [s] and acceleration.
     units : str or float, optional
-        Of the file, where it does not state them: "g" (9.81 m/s^2), "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal",
-        "in/s^2" or "ft/s^2", or m/s^2 per file unit, positive. Formats of strong motion, text headers such as
-        ``acc [g]`` and a MATLAB text variable ``units`` do; others are an error then.
+        "g" (9.81 m/s^2), "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal", "in/s^2" or "ft/s^2", or m/s^2 per file
+        unit, positive. Formats of strong motion, headers such as ``acc [g]`` and MATLAB's ``units`` state it.
     dt : float, optional
-        Sampling interval [s], positive. Formats of strong motion, an evenly increasing first text column and
-        the MATLAB variables ``dt``, ``fs`` [Hz], ``t`` or ``time`` state it. Films digitised at uneven times
-        need it: their values are joined by straight lines.
+        Sampling interval [s], positive. Formats of strong motion, clocks, and MATLAB's ``dt`` or ``fs`` [Hz]
+        state it. Films digitised at uneven times need it: their values are joined by straight lines.
     fs : float, optional
         Sampling rate [Hz], in place of `dt`.
     column : int or str, optional
-        Which channel of a recording or column of a text file, by index from 0 or name, or which MATLAB
-        variable is the acceleration. Needed only if there are several. An (N, 2) MATLAB matrix is time and
-        acceleration.
+        Which channel, column or MATLAB variable is the acceleration, by index from 0 or name, if there are
+        several. An (N, 2) MATLAB matrix is time and acceleration.
     wrapped : bool, optional
         Text only: True if one series runs along the lines, several values to each, or times and values in
         turn; False if each column is a series. Needed where neither labels nor a clock tell.
@@ -70,8 +68,8 @@ def read_record(
     FileNotFoundError, IsADirectoryError, OSError
         If there is no such file or it cannot be opened.
     ValueError, TypeError
-        If an argument is not admissible or the file does not hold what its format asks for; the
-        message names the file, its format, the line where there is one, and what to do.
+        If an argument is not admissible or the file does not hold what its format asks for; the message
+        names the file, its format, the line where there is one, and what to do.
     ImportError
         If the file is a seismogram and ObsPy is not installed, or a Universal File and pyuff is not.
 
@@ -92,20 +90,18 @@ def read_record(
     """
     request = checked(Request(units=units, dt=step_or_rate(dt, fs), wrapped=wrapped))
     columns = None if column is None else [check_column(column, "column")]
-    recording = recording_from(path, request, "path")
-    found = chosen(recording, columns, "column")
-    if len(found) > 1:
-        raise ValueError(
-            f"`column` must be given, {recording.file} has the channels "
-            f"{named(found)}. Pass the name or the index (from 0) of one."
-        )
-    values, clock = in_si(found[0], request, recording)
-    peak = np.abs(values).max()
+    recording = read_source(path, request, "path")
+    channel, *others = chosen(recording, columns, "column")
+    if others:
+        held = f"{named([channel, *others])}. Pass the name or the index (from 0) of one."
+        raise ValueError(f"`column` must be given, {recording.file} has the channels {held}")
+    motion = in_si(channel, request, recording)
+    peak = np.abs(motion.values).max()
     if peak > LARGEST:
         from pymc_features.signals.check import implausible  # a second to import
 
         warn_caller(f"{recording.file} {implausible(peak)}")
-    return Record(values, clock.dt, name=recording.name or Path(recording.file).stem)
+    return Record(motion.values, motion.dt, name=recording.name or Path(recording.file).stem)
 
 
 def read_cyclic_test(
@@ -125,8 +121,8 @@ def read_cyclic_test(
         Text, CSV or any format of `read_channels`: a table with both, or that of the displacement and that of
         the force, with as many rows.
     columns : sequence of two int or str, optional
-        Column of the displacement and that of the force, by index from 0 or header name. By default the
-        columns of a table that has two, or one in each of two files.
+        Those of the displacement and the force, by index from 0 or header name. By default by their labels,
+        or the columns of a table that has two, or one in each of two files.
     units : sequence of two str or float, optional
         Of displacement, "m", "cm", "mm" or "in", or m per file unit, and of force, "N", "kN", "MN", "lbf" or
         "kip", or N per file unit. Headers such as ``drift [mm]`` state them.
@@ -135,8 +131,7 @@ def read_cyclic_test(
     skip : int
         Rows left out at the start.
     wrapped : bool, optional
-        True if one series runs along the lines of the files, False if each column is a series. Needed where
-        neither labels nor two columns tell.
+        True if one series runs along the lines, False if each column is a series, where nothing else tells.
 
     Returns
     -------
@@ -150,7 +145,7 @@ def read_cyclic_test(
         If there is no such file or it cannot be opened.
     ValueError, TypeError
         If an argument is not admissible, a file is broken, its units are not known, or displacement and
-        force do not have the same length; the message names file and line.
+        force differ in length; the message names file and line.
 
     Examples
     --------
@@ -174,13 +169,15 @@ def read_cyclic_test(
     given = [None, None] if units is None else pair(units, "units", "one of length and one of force")
     wrapped = False if wrapped is None and columns is not None else wrapped
     request = checked(Request(dt=dt, clock=False, skip=skip, wrapped=wrapped))
-    recordings = [recording_from(path, request, "files") for path in paths]
+    recordings = [read_source(path, request) for path in paths]
     found = []
-    for kind, column, unit, place in zip(KINDS, picked, given, (0, int(is_one)), strict=True):
-        recording = recordings[0 if is_one else KINDS.index(kind)]
-        channel = _channel(recording, column, kind, place, 1 + is_one)
+    for number, (kind, column, unit) in enumerate(zip(KINDS, picked, given, strict=True)):
+        recording = recordings[0 if is_one else number]
+        if column is None and not recording.question:
+            column = _place(recording, kind, number if is_one else 0, 1 + is_one)
+        channel = chosen(recording, [column])[0]
         asked = request._replace(units=unit, quantity=kind)
-        found.append(in_si(channel, asked, recording._replace(file=f"{recording.file}, {kind}"))[0])
+        found.append(in_si(channel, asked, recording._replace(file=f"{recording.file}, {kind}")).values)
     displacement, force = found
     if displacement.size != force.size:
         raise ValueError(
@@ -200,19 +197,14 @@ def pair(value, name: str, what: str) -> list:
     return listed
 
 
-def _channel(recording: Recording, column, kind: str, place: int, usual: int) -> Channel:
-    """A channel as asked, by its label, or at its place among the usual number of columns."""
-    if column is not None:
-        return chosen(recording, [column])[0]
-    if recording.question:
-        raise ValueError(recording.question)
+def _place(recording: Recording, kind: str, place: int, usual: int) -> int:
+    """The channel that is of a kind by its label, or that at its place among the usual number of columns."""
     units = [unit_of(channel.unit or "") for channel in recording.channels]
     kinds = [u.quantity if u else role_of(c.name) for c, u in zip(recording.channels, units, strict=True)]
     if kinds.count(kind) == 1:
-        place = kinds.index(kind)
-    elif len(kinds) != usual or kinds[place] is not None or kind in kinds:
-        raise ValueError(
-            f"`columns` must be given, {recording.file} has {len(kinds)} columns "
-            f"({named(recording.channels)}). Pass the one of the displacement and the one of the force."
-        )
-    return recording.channels[place]
+        return kinds.index(kind)
+    if len(kinds) != usual or kinds[place] is not None or kind in kinds:
+        held = f"{len(kinds)} columns ({named(recording.channels)})"
+        advice = "Pass the one of the displacement and the one of the force."
+        raise ValueError(f"`columns` must be given, {recording.file} has {held}. {advice}")
+    return place

@@ -63,8 +63,7 @@ def write_channels(channels: "xr.DataArray", path: str | PathLike) -> None:
     units = channels["units"].values if "units" in channels.coords else whole
     names = [str(name) for name in channels["sensor"].values] if "sensor" in channels.coords else []
     if len(names) < len(units) or any(re.search(r"[\[\]()\n]", name) for name in names):
-        what = "names of sensors without brackets"
-        raise ValueError(message("channels", what, ", ".join(names) or "none"))
+        raise ValueError(message("channels", "names of sensors without brackets", ", ".join(names) or "none"))
     writers[path.suffix.lower()](path, names, [str(unit) for unit in units], channels, step)
 
 
@@ -74,12 +73,12 @@ def _write_csv(path, names, units, channels, step: float) -> None:
     start, times = float(channels.attrs.get("start", 0.0)), step * np.arange(channels.sizes["time"])
     if start > EPOCH:
         since = np.int64(round(start * 1e6)) * 1000 + np.rint(times * 1e9).astype(np.int64)
-        clock = [f"{text}Z" for text in np.datetime_as_string(since.astype("datetime64[ns]"))]
+        texts = np.datetime_as_string(since.astype("datetime64[ns]"))
+        label, clock = "time", [f"{text}Z" for text in texts]
     else:
-        clock = [f"{time:.15g}" for time in start + times]
+        label, clock = "time [s]", [f"{time:.15g}" for time in start + times]
     labels = [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]
     table = pd.DataFrame(channels.values.T, clock, labels, dtype=np.float64)
-    label = "time" if start > EPOCH else "time [s]"
     table.to_csv(path, index_label=label, float_format="%.17g", lineterminator="\n")
 
 

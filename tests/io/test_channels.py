@@ -12,7 +12,8 @@ from scipy.io import savemat
 
 from pymc_features import read_channels, read_record
 from pymc_features.exceptions import ChannelWarning
-from pymc_features.io.reading.clock import Clock, common_window, even_clock
+from pymc_features.io.channels import _aligned
+from pymc_features.io.reading.recording import Channel, even_clock
 from pymc_features.signals import check_channels
 from support.refusals import refusals
 from support.warned import messages
@@ -535,10 +536,10 @@ def test_numbers_of_the_samples_that_are_there():
 
 def test_slow_drift_of_clocks():
     """Half a sample over the record is the limit."""
-    clocks = [Clock("a", 1000, 0.01, 0.0), Clock("b", 1000, 0.01 * (1 + 4e-4), 0.0)]
-    assert common_window(clocks).n_times == 1000
+    first, second = (Channel(name, np.zeros(1000), dt=0.01, start=0.0) for name in "ab")
+    assert _aligned([first, second._replace(dt=0.01 * (1 + 4e-4))])[0].shape == (2, 1000)
     with pytest.raises(ValueError, match="the step is 0.01 s in a and 0.010006 s in b"):
-        common_window([clocks[0], Clock("b", 1000, 0.01 * (1 + 6e-4), 0.0)])
+        _aligned([first, second._replace(dt=0.01 * (1 + 6e-4))])
 
 
 # --- the shaking table, and broken copies of it -------------------------------------------------

@@ -94,8 +94,11 @@ FILES_THAT_HOLD_SOMETHING_ELSE = {  # what is said: what is given
         "K.mtx",
         lambda p: p.write_text("%%MatrixMarket matrix array real general\n2 2\n1\n2\n"),
     ),
-    "K.mtx must hold matrices of real numbers, got K. Save M": ("K.mtx", lambda p: mmwrite(p, 1j * DENSE)),
-    "K.mtx, `K`: entries must be finite numbers, got NaN": ("K.mtx", lambda p: mmwrite(p, DENSE * np.nan)),
+    "K.mtx, line 0: the matrix must be real, and general, sym.*, got complex": (
+        "K.mtx",
+        lambda p: mmwrite(p, 1j * DENSE),
+    ),
+    "K.mtx, `K`: entries must be finite, got NaN": ("K.mtx", lambda p: mmwrite(p, DENSE * np.nan)),
     "K.mat must be a MATLAB .mat": ("K.mat", lambda p: p.write_bytes(b"MATLAB 5.0 MAT-file" + bytes(50))),
     "must hold matrices of real numbers, got note": ("K.mat", lambda p: savemat(p, {"note": "SI"})),
     "K.mat must be a MATLAB .mat file, it cannot be read": ("K.mat", broken_hdf5_index),

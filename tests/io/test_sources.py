@@ -108,7 +108,7 @@ def test_tdms(data_dir):
     ("library", "name", "extra"), [("nptdms", "a.tdms", "daq"), ("pyuff", "a.uff", "modal")]
 )
 def test_extras_are_named(tmp_path, library, name, extra):
-    content = "TDSm" if name.endswith("tdms") else "    -1\n    58\n"
+    content = "TDSm" if name.endswith("tdms") else "    -1\n    58\n    -1\n"
     (tmp_path / name).write_text(content)
     code = f"import sys; sys.modules[{library!r}] = None; from pymc_features.io import read_channels\n"
     code += f"try: read_channels({str(tmp_path / name)!r})\nexcept ImportError as error: print(error)"

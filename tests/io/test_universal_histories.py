@@ -52,7 +52,7 @@ def test_a_clock_in_no_unit_of_time_is_refused(file, label):
 
 def test_a_last_line_that_is_filled_up(file):
     np.testing.assert_array_equal(read_record(file(data_set(padded=5))).acceleration, VALUES)
-    with pytest.raises(ValueError, match="the 7 samples of the header must be there, at least 2, got 14"):
+    with pytest.raises(ValueError, match="the 7 samples of its header must be there, got 14"):
         read_record(file(data_set(padded=7)))
 
 

@@ -13,7 +13,7 @@ from obspy.io.nied import knet as nied
 from pymc_features import read_channels, read_record
 from pymc_features.io import FORMATS, read_channels_with_gaps
 from pymc_features.io.formats import TEXT
-from pymc_features.io.formats.libraries import KINDS, WAVEFORMS
+from pymc_features.io.formats.libraries import KINDS, read_waveforms
 from pymc_features.io.reading.recording import Opening
 from support import record_files
 from support.commands import ROOT
@@ -55,8 +55,8 @@ def test_record_is_that_of_obspy(tmp_path, kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_format_is_taken_for_another(tmp_path, kind):
     opening = Opening.of(save(tmp_path, kind, [one(kind)]))
-    assert [kind for kind, begins in KINDS.items() if begins(opening)] == [kind]
-    assert [f for f in FORMATS if f is not TEXT and f.recognises(opening)] == [WAVEFORMS]
+    assert [kind for kind, begins in KINDS.items() if opening.begins(begins)] == [kind]
+    assert [f.read for f in FORMATS if f is not TEXT and opening.begins(f.begins)] == [read_waveforms]
 
 
 def test_sac_of_either_byte_order(tmp_path):

@@ -1,12 +1,9 @@
 """What other libraries read or hold: Universal Files, seismograms, TDMS, Parquet, HDF5, and data in memory.
 
-Of Universal Files time histories are read, data sets 58 in text or binary numbers (58b); spectra are
-refused, and frequency response functions left to `read_frequency_response`. Identified modes are read by
-`read_modal`.
-
-ObsPy is asked for SAC, MiniSEED and the text formats TSPAIR and SLIST by name, never to find it out: its
-detection opens pickles. Its reader of GSE2 is left out, since a damaged file ends the process. These files
-hold counts or numbers of any unit, so that `units` must be given.
+Of Universal Files time histories are read, data sets 58 in text or binary numbers; spectra, which stand in
+the same data sets, are refused, and frequency response functions left to `read_frequency_response`. ObsPy is
+asked for formats by name, never to find them out: its detection opens pickles. Its reader of GSE2 is left
+out, since a damaged file ends the process.
 
 Čermelj, P., Slavič, J. et al., pyuff, https://github.com/ladisk/pyuff; Structural Dynamics Research
 Corporation, Universal File Dataset 58. Krischer, L. et al. (2015), ObsPy: a bridge for seismology into the
@@ -17,28 +14,24 @@ Structure; Reeve, A., npTDMS, https://github.com/adamreeve/npTDMS.
 import re
 import struct
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks import as_list, listed, message, shown, warn_caller
-from pymc_features.io.formats.matlab import read_matlab
+from pymc_features._checks import listed, message, shown, warn_caller
 from pymc_features.io.reading.labels import Label, role_of, unit_of
 from pymc_features.io.reading.lines import Lines, by_library, to_count, to_number, warn_of_widths
 from pymc_features.io.reading.recording import (
     Channel,
     Columns,
-    Format,
     Opening,
     Recording,
     Request,
     even_or_times,
     recording_of,
 )
-
-# --- Universal Files, by pyuff ----------------------------------------------------------------------
 
 NAME = "Universal File"
 FUNCTIONS = "58"  # the data set of measured functions
@@ -47,26 +40,14 @@ KNOWN = {15, 18, 27, 30, 31, 55, 56, 57, 58, 82, 151, 156, 164, 241, 250, 252, 2
 KNOWN |= {770, 771, 772, 773, 774, 775, 776, 777, 778, 779, 780, 781, 789, 790, 791, 1710, 1715, 1716, 1717}
 KNOWN |= {1802, 1807, 1808, 1809, 1858, 1860, 3062, *range(2400, 2500)}
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")  # directions 1 to 6
-TIME_RESPONSE = 1  # type of function
-BYTE_ORDERS, IEEE = (1, 2), 2  # the least byte first, or last
-SINGLE = (2, 5)  # types of numbers in four bytes
-PER_LINE = 6  # numbers of a line, at most
-UNLABELLED = "", "none"
 #: Columns of whole numbers of records 6, of types, nodes and directions, and 7, above the step.
 COLUMNS = {6: [(0, 5), (5, 15), (15, 20), (20, 30), (41, 51), (51, 55), (66, 76), (76, 80)]}
 COLUMNS |= {7: [(0, 10), (10, 20), (20, 30)]}
 RIGHT = re.compile(r" *[-+]?\d+")
+#: How a file begins: -1 in columns 5 and 6, and a number that ends in column 6 below it.
+UNIVERSAL = rb"[\r\n]*    -1[ \t]*(?:\r\n|\r|\n) *\d+(?<=[\r\n].{6})"
 TYPES = {"strain": 2, "displacement": 8, "force": 9, "velocity": 11, "acceleration": 12, "pressure": 15}
 QUANTITY_OF_TYPE = {number: name for name, number in TYPES.items()} | {0: None, 1: None}  # which do not say
-
-
-def is_universal(head: bytes) -> bool:
-    """Whether a file begins with -1 in columns 5 and 6, and a number that ends in column 6 below it."""
-    lines = head.lstrip(b"\r\n").splitlines()[:2]
-    if len(lines) < 2 or lines[0].rstrip() != b"    -1":
-        return False
-    number = lines[1][:6]
-    return len(number) == 6 and number.strip().isdigit() and number[-1:].isdigit()
 
 
 def is_mark(line: str) -> bool:
@@ -75,70 +56,59 @@ def is_mark(line: str) -> bool:
 
 
 def read_universal(path: Path, request: Request) -> Recording:
-    """All time histories of a file, named by node and direction."""
-    with by_library("pyuff", "modal", path, "Universal"):
-        import pyuff
+    """All time histories of a file, named by node and direction; why one that is spoilt cannot be taken."""
     raw = path.read_bytes()
     if not raw.rstrip().endswith(b"    -1"):
-        raise ValueError(
-            f"{path.name} ({NAME}) must end with a line of -1, it does not. Fetch the file again."
-        )
+        raise ValueError(f"{path.name} ({NAME}) must end in a line of -1, it does not. Fetch it again.")
     _check_text(path, raw)
     with by_library("pyuff", "modal", path, "Universal"), warnings.catch_warnings():
+        import pyuff
+
         warnings.simplefilter("ignore")
         file = pyuff.UFF(str(path))
         kinds = [int(kind) for kind in file.get_set_types()]
         sets = [file.read_sets(k) for k, kind in enumerate(kinds) if str(kind) == FUNCTIONS]
     if not sets:
-        held = listed(list(dict.fromkeys(kinds)))
-        raise ValueError(
-            f"{path.name} ({NAME}) must hold time histories in data sets 58, got the data sets {held[:200]}. "
-            "Read identified modes by `read_modal`."
-        )
+        held = f"the data sets {listed(list(dict.fromkeys(kinds)))[:200]}. Read modes by `read_modal`."
+        raise ValueError(f"{path.name} ({NAME}) must hold time histories in data sets 58, got {held}")
     if odd := [kind for kind in dict.fromkeys(kinds) if kind not in KNOWN]:
         warn_caller(f"{path.name}: the data sets {listed(odd)} are of no known type. Is a digit of one lost?")
-    channels = [_channel(path.name, found, raw) for found in sets]
+    channels = []
+    for found in sets:
+        direction = found["rsp_dir"]
+        axis = dict(enumerate(AXES, 1)).get(abs(direction), "")
+        name = f"{found['rsp_node']}{'-' if direction < 0 else ''}{axis}"
+        try:
+            channels.append(_history(name, found, raw))
+        except ValueError as error:
+            channels.append(Channel(name, np.zeros(0), problem=f"{path.name} ({NAME}), {name}: {error}"))
     if len({channel.start for channel in channels if not channel.problem}) < 2:
         channels = [channel._replace(start=None) for channel in channels]
     return Recording(path.name, channels)
 
 
-def _channel(file: str, found: dict, raw: bytes) -> Channel:
-    """A time history, as its data set describes it; of one that is spoilt, why it cannot be taken."""
-    direction = found["rsp_dir"]
-    axis = AXES[abs(direction) - 1] if 1 <= abs(direction) <= len(AXES) else ""
-    name = f"{found['rsp_node']}{'-' if direction < 0 else ''}{axis}"
-    try:
-        return _history(name, found, raw)
-    except ValueError as error:
-        return Channel(name, np.zeros(0), problem=f"{file} ({NAME}), {name}: {error}")
-
-
 def _history(name: str, found: dict, raw: bytes) -> Channel:
     """The numbers of a data set on their clock."""
-    if found["func_type"] != TIME_RESPONSE or np.iscomplexobj(found["data"]):
-        raise ValueError(
-            f"functions must be time histories, type 1, got type {found['func_type']}. Read "
-            "frequency response functions by `io.read_frequency_response`."
-        )
-    values, times = np.asarray(found["data"], dtype=np.float64), np.asarray(found["x"], dtype=np.float64)
+    if found["func_type"] != 1 or np.iscomplexobj(found["data"]):
+        advice = "Read frequency response functions by `io.read_frequency_response`."
+        raise ValueError(f"functions must be time histories, type 1, got type {found['func_type']}. {advice}")
+    values, times = (np.asarray(found[key], dtype=np.float64) for key in ("data", "x"))
     n = found["num_pts"]
-    if n < values.size < n + PER_LINE and not values[n:].any():  # the last line is filled up with zeros
+    if n < values.size < n + 6 and not values[n:].any():  # zeros fill the last line of six up
         values, times = values[:n], times[:n]
     if values.size != n or times.size != n or n < 2 or not np.isfinite(times).all():
-        what = f"the {n} samples of the header must be there, at least 2, got {values.size}"
-        raise ValueError(f"{what}. Fetch the file again.")
+        raise ValueError(f"the {n} samples of its header must be there, got {values.size}. Fetch it again.")
     if found["binary"]:  # which must reach to the end of the data set, else a byte was lost or added
-        order, stored = found["byte_ordering"], "f4" if found["ord_data_type"] in SINGLE else "f8"
-        last = values[-1:].astype(("<" if order == 1 else ">") + stored).tobytes()
+        order, single = found["byte_ordering"], found["ord_data_type"] in (2, 5)
+        last = values[-1:].astype(f"{'<' if order == 1 else '>'}f{4 if single else 8}").tobytes()
         whole = any(last + end + b"    -1" in raw for end in (b"", b"\n", b"\r\n"))
-        if order not in BYTE_ORDERS or found["fp_format"] != IEEE or not whole:
+        if order not in (1, 2) or found["fp_format"] != 2 or not whole:
             raise ValueError(
                 "binary numbers must be IEEE, 2, of byte order 1 or 2, and reach to the end of their data "
                 f"set, got {found['fp_format']} and {order}. Fetch the file again."
             )
     labels = (found.get(f"{axis}_axis_units_lab", "").strip() for axis in ("abscissa", "ordinate"))
-    label, unit = ("" if text.lower() in UNLABELLED else text for text in labels)
+    label, unit = ("" if text.lower() == "none" else text for text in labels)
     clock = unit_of(label or "s")
     if clock is None or clock.quantity != "time":
         raise ValueError(f"times must be in a unit of time, got {label!r}. Export seconds.")
@@ -155,11 +125,9 @@ def _check_text(path: Path, raw: bytes) -> None:
         for record, line in zip((6, 7), found[1].decode("latin-1").split("\n")[5:], strict=False):
             cells = [line[begin:end] for begin, end in COLUMNS[record]]
             if odd := [cell for cell in cells if cell.strip() and not RIGHT.fullmatch(cell)]:
-                warn_caller(
-                    f"{path.name}, record {record} of a data set 58: numbers must stand at the right ends of "
-                    f"their columns, got {odd[0]!r}. Is a character lost or added, and a node, a direction "
-                    "or the step with it?"
-                )
+                said = f"got {odd[0]!r}. Is a character lost or added, and a node or the step with it?"
+                where = f"{path.name}, record {record} of a data set 58"
+                warn_caller(f"{where}: numbers must stand at the right ends of their columns, {said}")
     if b"\0" not in raw:
         lines = list(enumerate(Lines(path).whole, 1))
         marks = [k for k, (_, line) in enumerate(lines) if is_mark(line)]
@@ -168,27 +136,15 @@ def _check_text(path: Path, raw: bytes) -> None:
                 warn_of_widths(path.name, lines[first + 13 : last])
 
 
-UNIVERSAL = Format(
-    "Universal File 58, by pyuff",
-    lambda opening: is_universal(opening.head),
-    ".uff, .unv",
-    "step, units, channels by node and direction. Needs the extra `modal`",
-    read_universal,
-)
-
-
-# --- seismograms, by ObsPy --------------------------------------------------------------------------
-
 VERSIONS = (6, 7)  # of the SAC header
-FEWEST_STAMPS = 3  # by which the step is told
-SAC_HEADER, SAC_FACTS = 632, "f300xi8xi"  # bytes of it; step, and behind what is skipped version and count
+SAC = "f300xi8xi"  # step, and behind what is skipped version and count, of 632 bytes in all
 
 
 def _is_sac(opening: Opening) -> bool:
     """A header of 632 bytes, in either order, with its version, a step and the number of values."""
-    if opening.lines or len(opening.head) < SAC_HEADER:
+    if opening.lines or len(opening.head) < 632:
         return False
-    found = [struct.unpack_from(order + SAC_FACTS, opening.head) for order in "<>"]
+    found = [struct.unpack_from(order + SAC, opening.head) for order in "<>"]
     return any(step > 0.0 and version in VERSIONS and count > 0 for step, version, count in found)
 
 
@@ -201,31 +157,20 @@ def _is_sac_text(opening: Opening) -> bool:
     return to_count(lines[15][1]) in VERSIONS and sum(word.startswith("-12345") for word in words) > 9
 
 
-def _is_miniseed(opening: Opening) -> bool:
-    """Six digits, a letter for the quality and a blank, in front of every record."""
-    head = opening.head
-    return len(head) >= 48 and head[:6].isdigit() and head[6:7] in b"DRQM" and head[7:8] in b" \0"
-
-
-def _is_timeseries(layout: str) -> Callable[[Opening], bool]:
-    """A first line of TIMESERIES with a layout among its words."""
-    begins = re.compile(rf"TIMESERIES (?:.*,)?\s*{layout}\s*(?:,|$)", re.MULTILINE)
-    return lambda opening: begins.match(opening.lines[0] if opening.lines else "") is not None
-
-
-#: Name of a format, as ObsPy calls it: whether a file begins like one.
-KINDS: dict[str, Callable[[Opening], bool]] = {
+#: Name of a format, as ObsPy calls it, and how its files begin: MiniSEED with six digits, the quality and a
+#: blank, the text formats with a line that has the layout among its words.
+KINDS = {
     "SAC": _is_sac,
     "SACXY": _is_sac_text,
-    "MSEED": _is_miniseed,
-    "TSPAIR": _is_timeseries("TSPAIR"),
-    "SLIST": _is_timeseries("SLIST"),
+    "MSEED": rb"(?s)\d{6}[DRQM][ \0].{40}",
+    "TSPAIR": rb"TIMESERIES (?:.*,)?[ \t]*TSPAIR[ \t]*(?:[,\r\n]|$)",
+    "SLIST": rb"TIMESERIES (?:.*,)?[ \t]*SLIST[ \t]*(?:[,\r\n]|$)",
 }
 
 
 def kind_of(opening: Opening) -> str | None:
     """Which of the formats a file is of."""
-    return next((kind for kind, begins in KINDS.items() if begins(opening)), None)
+    return next((kind for kind, begins in KINDS.items() if opening.begins(begins)), None)
 
 
 def read_waveforms(path: Path, request: Request) -> Recording:
@@ -242,13 +187,11 @@ def read_waveforms(path: Path, request: Request) -> Recording:
             stream = obspy.read(raw, format=kind, check_compression=False, **options)
             stream.merge(method=0)  # joins what follows, and what overlaps and agrees; masks gaps
     if kind in ("TSPAIR", "SLIST"):  # ObsPy reads files with another number of values than they announce
-        announced = re.findall(rb"^TIMESERIES [^,]*,\s*(\d{1,12})(?![^\s,])", path.read_bytes(), re.MULTILINE)
-        found = sum(trace.data.size for trace in stream)
-        if found != sum(map(int, announced)):
-            raise ValueError(
-                f"{path.name} ({kind}) must hold the {sum(map(int, announced))} samples of its headers, got "
-                f"{found}. Fetch the file again."
-            )
+        counts = re.findall(rb"(?m)^TIMESERIES [^,]*,\s*(\d{1,12})(?![^\s,])", path.read_bytes())
+        announced, found = sum(map(int, counts)), sum(trace.data.size for trace in stream)
+        if found != announced:
+            what = f"the {announced} samples of its headers, got {found}"
+            raise ValueError(f"{path.name} ({kind}) must hold {what}. Fetch the file again.")
     steps = stamped_steps(path, stream) if kind == "MSEED" else {}
     return Recording(path.name, channels_of(stream, f"{path.name} ({kind})", steps))
 
@@ -268,7 +211,7 @@ def stamped_steps(path: Path, stream) -> dict[str, float]:
     for name, own in records.items():
         begins, counts = np.array(sorted(own)).T
         stated = next((trace.stats.delta for trace in stream if trace.id == name), None)
-        if stated is None or len(own) < FEWEST_STAMPS or np.diff(begins).max() > 1.5 * stated * counts.max():
+        if stated is None or len(own) < 3 or np.diff(begins).max() > 1.5 * stated * counts.max():
             continue  # of gaps no step is told
         places = np.append(0.0, np.cumsum(counts)[:-1])
         step = float(np.polyfit(places, begins - begins[0], 1)[0])
@@ -279,18 +222,6 @@ def stamped_steps(path: Path, stream) -> dict[str, float]:
                 f"{len(own)} records {step:.6g} s, which is used. Check the clock of the logger."
             )
     return found
-
-
-WAVEFORMS = Format(
-    "SAC, MiniSEED, TSPAIR and SLIST, by ObsPy",
-    lambda opening: kind_of(opening) is not None,
-    ".sac, .mseed, .txt",
-    "step, channels, start; pass `units`. Needs the extra `seismic`",
-    read_waveforms,
-)
-
-
-# --- loggers and tables: TDMS by npTDMS, Parquet by pandas, HDF5 by h5py ----------------------------
 
 
 def read_tdms(path: Path, request: Request) -> Recording:
@@ -305,7 +236,7 @@ def read_tdms(path: Path, request: Request) -> Recording:
         facts = channel.properties
         name = channel.name if len(groups) == 1 else f"{group.name}/{channel.name}"
         unit = str(facts.get("unit_string") or facts.get("NI_UnitDescription") or "") or None
-        start = facts.get("wf_start_time")
+        step, start = float(facts.get("wf_increment", 0.0)) or None, facts.get("wf_start_time")
         if isinstance(start, np.datetime64) and start > np.datetime64("1971"):  # 1904 is none
             start = float(start.astype("datetime64[us]").astype(np.int64)) * 1e-6
             start += float(facts.get("wf_start_offset", 0.0))
@@ -315,7 +246,6 @@ def read_tdms(path: Path, request: Request) -> Recording:
         if values.dtype.kind not in "iuf" or values.size < 2:
             problem = f"{path.name}, {name}: values must be numbers, at least 2, got {values.size} others."
             values = np.zeros(0)
-        step = float(facts.get("wf_increment", 0.0)) or None
         channels.append(Channel(name, values.astype(np.float64), unit, step, start=start, problem=problem))
     return Recording(path.name, channels)
 
@@ -329,43 +259,15 @@ def read_parquet(path: Path, request: Request) -> Recording:
     return recording_in(frame, request)._replace(file=path.name)
 
 
-BINARY = (
-    Format(
-        "TDMS, by npTDMS",
-        lambda opening: opening.head[:4] == b"TDSm",
-        ".tdms",
-        "step, start, units, channels. Needs the extra `daq`",
-        read_tdms,
-    ),
-    Format(
-        "Parquet, by pandas",
-        lambda opening: opening.head[:4] == b"PAR1",
-        ".parquet",
-        "names, units in them, a clock among its columns. Needs the extra `daq`",
-        read_parquet,
-    ),
-    Format(
-        "HDF5",
-        lambda opening: opening.head[:8] == b"\x89HDF\r\n\x1a\n" and opening.suffix != ".mat",
-        ".h5, .hdf5",
-        "names, attributes `units`, `dt` and `fs`, a clock among its data sets",
-        read_matlab,
-    ),
-)
-
-
-# --- in memory: pandas, xarray, ObsPy, and the dicts of SEP005 ---------------------------------------
-
 SEP005 = "data", "name", "unit_str"
 
 
 def is_source(value) -> bool:
     """Whether a value holds channels by itself, rather than being the path of a file."""
-    kind = type(value)
-    if {"DataFrame", "DataArray", "Stream"} & {base.__name__ for base in kind.__mro__}:
+    if {"DataFrame", "DataArray", "Stream"} & {base.__name__ for base in type(value).__mro__}:
         return True
-    entries = as_list(value) if isinstance(value, list | tuple) else None
-    return bool(entries) and all(isinstance(entry, Mapping) and "data" in entry for entry in entries)
+    entries = value if isinstance(value, list | tuple) else ()
+    return len(entries) > 0 and all(isinstance(entry, Mapping) and "data" in entry for entry in entries)
 
 
 def recording_in(source, request: Request) -> Recording:
@@ -374,7 +276,7 @@ def recording_in(source, request: Request) -> Recording:
     if "DataFrame" in names:
         return _of_frame(source, request)
     if "DataArray" in names:
-        return _of_array(source)
+        return Recording("the DataArray", _of_array(source))
     if "Stream" in names:
         return Recording("the Stream", channels_of(source.copy().merge(method=0), "the Stream", {}))
     return Recording("the list", [_of_dict(entry) for entry in source])
@@ -387,9 +289,7 @@ def channels_of(stream, source: str, rates: dict[str, float]) -> list[Channel]:
         sac = trace.stats.get("sac", {})
         uneven = sac.get("leven", 1) != 1 or sac.get("iftype", 1) != 1
         if uneven or trace.data.dtype.kind not in "iuf" or not trace.stats.delta > 0.0:
-            raise ValueError(
-                f"{source} must hold an even series of numbers, {trace.id} is none. Resample it."
-            )
+            raise ValueError(f"{source} must hold even series of numbers, {trace.id} is none. Resample it.")
         name = trace.stats.channel if trace.stats.channel and len(set(codes)) == len(codes) else trace.id
         values = np.ma.filled(trace.data.astype(np.float64), np.nan)
         # of SAC in single precision; ObsPy rounds it to microseconds
@@ -403,23 +303,15 @@ def _of_frame(frame, request: Request) -> Recording:
     """Columns by their labels; an index that is named as a time, or holds dates, is the clock."""
     labels = [Label.of(str(name)) for name in frame.columns]
     if other := [str(name) for name, kind in frame.dtypes.items() if kind.kind not in "iufb"]:
-        what = f"a DataFrame with {listed(other)}"
-        raise ValueError(f"`files` must hold numbers, got {what}. Drop these columns.")
+        raise ValueError(f"`files` must hold numbers, got a DataFrame with {listed(other)}. Drop these.")
     values, stamp, origin, index = frame.to_numpy(dtype=np.float64), None, 0.0, frame.index
     dates = index.dtype.kind in "mM"
     if dates or (index.name is not None and role_of(str(index.name)) == "time"):
         origin, seconds = _seconds(index.to_numpy())
         values, stamp = np.insert(values, 0, seconds, axis=1), 0 if dates else None
         labels = [Label("time", "time") if dates else Label.of(str(index.name)), *labels]
-    columns = Columns(
-        "the DataFrame",
-        labels,
-        values[request.skip :],
-        lambda row, _: f"row {row}",
-        stamp=stamp,
-        origin=origin,
-    )
-    return recording_of(columns, request)
+    table = Columns("the DataFrame", labels, values[request.skip :], lambda row, _: f"row {row}")
+    return recording_of(table._replace(stamp=stamp, origin=origin), request)
 
 
 def _seconds(times: np.ndarray) -> tuple[float, np.ndarray]:
@@ -431,37 +323,30 @@ def _seconds(times: np.ndarray) -> tuple[float, np.ndarray]:
     return first * 1e-9, (nanoseconds - first) * 1e-9
 
 
-def _of_array(array) -> Recording:
+def _of_array(array) -> list[Channel]:
     """Sensors by the coordinate `sensor`, times [s] or dates by the coordinate `time`, `units` in `attrs`."""
     if not set(array.dims) <= {"sensor", "time"} or "time" not in array.dims:
-        raise ValueError(
-            message("files", "a DataArray (sensor, time)", str(array.dims), "Rename and transpose it.")
-        )
-    whole = array.expand_dims("sensor") if "sensor" not in array.dims else array
+        raise ValueError(message("files", "a DataArray (sensor, time)", array.dims, "Transpose it."))
+    whole = array if "sensor" in array.dims else array.expand_dims("sensor")
     whole = whole.transpose("sensor", "time")
     names = whole["sensor"].values if "sensor" in array.coords else range(whole.sizes["sensor"])
     one = [array.attrs.get("units")] * len(names)
     units = whole.coords["units"].values if "units" in whole.coords else one
-    place = {}
+    times, unit, start = None, "s", None
     if "time" in array.coords:
-        origin, seconds = _seconds(whole["time"].values)
+        origin, times = _seconds(whole["time"].values)
         unit = "s" if whole["time"].dtype.kind in "mM" else str(whole["time"].attrs.get("units", "s"))
-        place = _place("the DataArray", seconds, unit, origin + float(array.attrs.get("start", 0.0)))
-    channels = [
-        Channel(str(name), row.astype(np.float64), None if unit is None else str(unit), **place)
-        for name, row, unit in zip(names, whole.values, units, strict=True)
-    ]
-    return Recording("the DataArray", channels)
+        start = origin + float(array.attrs.get("start", 0.0))
+    rows = zip(names, whole.values, units, strict=True)
+    return [_timed(name, row, said, times, unit, start) for name, row, said in rows]
 
 
 def _of_dict(entry: Mapping) -> Channel:
     """A channel by SEP005, proposal 5 of the Structural Health Monitoring community's `sdypy`."""
     missing = [key for key in SEP005 if key not in entry]
     if missing or not ("fs" in entry or "time" in entry):
-        raise ValueError(
-            f"`files` must be dicts with {', '.join(SEP005)} and `fs` or `time`, got one with "
-            f"{listed(list(entry))}. Complete it."
-        )
+        held = f"got one with {listed(list(entry))}. Complete it."
+        raise ValueError(f"`files` must be dicts with {', '.join(SEP005)} and `fs` or `time`, {held}")
     start = entry.get("start_timestamp")
     if isinstance(start, str):
         try:
@@ -471,18 +356,17 @@ def _of_dict(entry: Mapping) -> Channel:
     if isinstance(start, datetime):
         start = (start if start.tzinfo else start.replace(tzinfo=UTC)).timestamp()
     dt = 1.0 / float(entry["fs"]) if "fs" in entry else None
-    place = {"dt": dt, "start": start}
-    if "time" in entry:
-        place = _place(str(entry["name"]), entry["time"], "s", start or 0.0, dt)
+    return _timed(entry["name"], entry["data"], entry["unit_str"], entry.get("time"), "s", start, dt)
+
+
+def _timed(name, values, unit, times, time_unit: str, start, dt: float | None = None) -> Channel:
+    """A channel at its times (time,), which count from the start [s], or at a step [s]."""
+    if times is not None:
+        readings = np.asarray(times, dtype=np.float64)[:, None]
+        label = Label("time", "time", time_unit)
+        table = Columns(str(name), [label], readings, lambda row, _: f"{name}, sample {row}", dt=dt)
+        [clock] = recording_of(table, Request()).channels
+        dt, start = clock.dt, (start or 0.0) + clock.start
     return Channel(
-        str(entry["name"]), np.asarray(entry["data"], dtype=np.float64), str(entry["unit_str"]), **place
+        str(name), np.asarray(values, dtype=np.float64), None if unit is None else str(unit), dt, start=start
     )
-
-
-def _place(source: str, times, unit: str, start: float, dt: float | None = None) -> dict:
-    """Step and start of a channel by its times (time,), in a unit, and what they count from [s]."""
-    readings = np.asarray(times, dtype=np.float64)[:, None]
-    label = Label("time", "time", unit)
-    columns = Columns(source, [label], readings, lambda row, column: f"{source}, sample {row}", dt=dt)
-    [clock] = recording_of(columns, Request()).channels
-    return {"dt": clock.dt, "start": start + clock.start}

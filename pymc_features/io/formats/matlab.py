@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features._checks import listed
-from pymc_features.io.reading.labels import Label, Unit, unit_of
+from pymc_features.io.reading.labels import Label, unit_of
 from pymc_features.io.reading.lines import check_size, most_bytes, shortened, to_number
-from pymc_features.io.reading.recording import Channel, Columns, Format, Recording, Request, recording_of
+from pymc_features.io.reading.recording import Channel, Columns, Recording, Request, recording_of
 
-#: Quantity and SI units of numbers that state the step.
-SCALARS = {"dt": ("time", 1.0)} | dict.fromkeys(("fs", "samplingrate", "samplerate"), ("frequency", 1.0))
+#: Units of numbers that state the step.
+SCALARS = {"dt": unit_of("s"), **dict.fromkeys(("fs", "samplingrate", "samplerate"), unit_of("Hz"))}
 DEEPEST = 4  # structures in one another
 HEADER = 128  # bytes
 COMPRESSED, ARRAY = 15, 14  # types of elements
@@ -58,9 +58,8 @@ def load_variables(path: Path) -> dict[str, np.ndarray]:
         return {name: value for name, value in pairs if name and not name.startswith("__")}
     except Exception as error:  # each damaged file fails in its own way
         kind = "a MATLAB .mat" if path.suffix.lower() == ".mat" else "an HDF5"
-        raise ValueError(
-            f"{path.name} must be {kind} file, it cannot be read ({shortened(error)}). Save it again."
-        ) from error
+        said = f"it cannot be read ({shortened(error)}). Save it again."
+        raise ValueError(f"{path.name} must be {kind} file, {said}") from error
 
 
 def _read_5(path: Path, raw: memoryview) -> Iterator[tuple[str, np.ndarray]]:
@@ -133,11 +132,10 @@ def _compressed(n_rows: int, starts: np.ndarray, rows: np.ndarray, data: np.ndar
     """A sparse matrix of compressed columns, all of whose entries are in it."""
     from scipy import sparse
 
-    n_entries = int(starts[-1])
-    given = rows[:n_entries], starts
-    places = [x.astype(np.int64) for x in given]
-    if any((x != whole).any() for x, whole in zip(given, places, strict=True)):
+    rows, n_entries = rows[: int(starts[-1])], int(starts[-1])
+    if (rows % 1 != 0).any() or (starts % 1 != 0).any():
         raise ValueError("places in a sparse matrix must be whole numbers")
+    places = rows.astype(np.int64), starts.astype(np.int64)
     matrix = sparse.csc_array((data[:n_entries], *places), shape=(int(n_rows), starts.size - 1))
     matrix.check_format()
     return matrix
@@ -199,9 +197,6 @@ def _text(value):
     return value.decode() if isinstance(value, bytes) else value
 
 
-# --- channels ---------------------------------------------------------------------------------------
-
-
 def read_matlab(path: Path, request: Request) -> Recording:
     """The vectors of a file, and the rows of its matrices, whose longer side is time; see `read_channels`."""
     file, variables = path.name, load_variables(path)
@@ -214,22 +209,19 @@ def read_matlab(path: Path, request: Request) -> Recording:
         times = [name for name in arrays if Label.of(name.rpartition(".")[2]).role == "time"]
         if len(times) == len(arrays) and len(groups) > 1 and request.clock is None and request.dt is None:
             others = [f"{name} {a.shape}" for group in groups.values() for name, a in group.items()]
-            raise ValueError(
-                f"{file}: `{times[0]}` must have one time for each sample, got {n_times} beside "
-                f"{listed(others)}. Name the times by `clock`, or pass clock=False and `dt`."
-            )
+            others = f"{listed(others)}. Name the times by `clock`, or pass clock=False and `dt`."
+            what = f"`{times[0]}` must have one time for each sample, got {n_times}"
+            raise ValueError(f"{file}: {what} beside {others}")
     channels = []
     for (inside, n_times), arrays in groups.items():
         whole = {name: array for name, array in arrays.items() if array.shape != (n_times, n_times)}
-        for name in arrays.keys() - whole.keys():
-            shape = f"shape {(n_times, n_times)}. Save vectors."
-            problem = f"{file}, `{name}`: time must be the longer side of a matrix, got {shape}"
-            channels.append(Channel(name, np.zeros(0), problem=problem))
+        problem = f"time must be the longer side of a matrix, got shape {(n_times, n_times)}. Save vectors."
+        squares = [name for name in arrays if name not in whole]
+        channels += [Channel(name, np.zeros(0), problem=f"{file}, `{name}`: {problem}") for name in squares]
         if whole and n_times - request.skip >= 2:
             facts = {name: value for name, value in variables.items() if _inside(name) in (inside, "")}
-            columns = _columns(file, whole, n_times, request)._replace(
-                units=_stated_units(facts, inside, file), dt=_stated_step(facts, inside, file, request.dt)
-            )
+            units, dt = _stated(facts, inside, file, request.dt)
+            columns = _columns(file, whole, n_times, request)._replace(units=units, dt=dt)
             names = [text for label in columns.labels for text in (label.text, label.name)]
             known = request.clock in names or request.clock is False
             clock = request.clock if known or len(groups) == 1 else None
@@ -260,62 +252,42 @@ def _columns(file: str, arrays: dict[str, np.ndarray], n_times: int, request: Re
         rows += list(histories)
     values = np.array(rows).T[request.skip :]
     eps = max((np.finfo(a.dtype).eps for a in arrays.values() if a.dtype.kind == "f"), default=0.0)
-    return Columns(
-        file,
-        labels,
-        values,
-        lambda row, column: f"{file}, `{labels[column].text}`, sample {row + request.skip}",
-        lambda column: 4.0 * float(eps) * np.abs(values[:, column]).max(),
-        own=next(iter(arrays.values())).ndim == 1,
-    )
+    own = next(iter(arrays.values())).ndim == 1
+
+    def where(row: int, column: int) -> str:
+        return f"{file}, `{labels[column].text}`, sample {row + request.skip}"
+
+    def resolution(column: int) -> float:
+        return 4.0 * float(eps) * np.abs(values[:, column]).max()
+
+    return Columns(file, labels, values, where, resolution, own)
 
 
-def _stated_units(facts: Mapping, inside: str, file: str) -> str | None:
-    """The text in the variable `units` of a structure, or else of the file."""
-    texts = {
-        _inside(name): str(value.item()).strip()
-        for name, value in facts.items()
-        if name.lower().rpartition(".")[2] in ("units", "unit")
-        and value.dtype.kind == "U"
-        and value.size == 1
-    }
-    if len(set(texts.values())) > 1:
-        said = listed(sorted(texts.values()))
-        raise ValueError(f"{file} contradicts itself, it states the units {said}. Correct it.")
-    return texts.get(inside, texts.get(""))
-
-
-def _stated_step(facts: Mapping, inside: str, file: str, dt: float | None) -> float | None:
-    """The step [s] that numbers and texts such as "100 Hz" state in a structure, or else in the file."""
-    steps = {}
+def _stated(facts: Mapping, inside: str, file: str, dt: float | None) -> tuple[str | None, float | None]:
+    """Units and step [s] that a structure, or else the file, states in texts and numbers such as "100 Hz"."""
+    units, steps = set(), {}
     for name, value in facts.items():
         key = re.sub("[_ ]", "", name.lower().rpartition(".")[2])
-        if key not in SCALARS or value.size != 1:
+        if value.size != 1 or key not in (*SCALARS, "units", "unit"):
             continue
-        number, unit = value.item(), Unit(*SCALARS[key])
+        number, unit = value.item(), SCALARS.get(key)
+        if unit is None:
+            units |= {number.strip()} if isinstance(number, str) else set()
+            continue
         if isinstance(number, str):
             text, _, word = number.strip().partition(" ")
             number, unit = to_number(text), unit_of(word) if word else unit
             if number is None or unit is None or unit.quantity not in ("time", "frequency"):
-                raise ValueError(
-                    f"{file}, `{name}`: a step or rate must be a number and a unit, got {value.item()!r}. "
-                    "Correct it, or remove it and pass `dt`."
-                )
+                said = f"got {value.item()!r}. Correct it, or remove it and pass `dt`."
+                raise ValueError(f"{file}, `{name}`: a step or rate must be a number and a unit, {said}")
         if number > 0.0:
             in_si = float(number) * unit.factor
             steps[name] = in_si if unit.quantity == "time" else 1.0 / in_si
+    if len(units) > 1:
+        raise ValueError(f"{file} contradicts itself, it states the units {listed(sorted(units))}.")
     steps = {name: step for name, step in steps.items() if _inside(name) == inside} or steps
     first = next(iter(steps.values()), None)
     if dt is None and not all(np.isclose(step, first, rtol=1e-3, atol=0.0) for step in steps.values()):
         said = listed([f"{name}: {step:g} s" for name, step in steps.items()])
         raise ValueError(f"`dt` must be given, {file} contradicts itself ({said}).")
-    return first
-
-
-MATLAB = Format(
-    "MATLAB",
-    lambda opening: opening.suffix == ".mat",
-    ".mat",
-    "what its variables `dt`, `fs`, `t`, `time` and `units` state",
-    read_matlab,
-)
+    return next(iter(units), None), first

@@ -1,42 +1,33 @@
 """Strong-motion records: PEER AT2, ESM, K-NET, NSMN and UNAM; COSMOS, CSMIP, GeoNet and SMC in blocks.
 
-A reader takes the lines of a file and gives its channels, or these and the name of the recording;
-`STRONG_MOTION` is their table. Pacific Earthquake Engineering Research Center, AT2 (spellings have varied
-over the decades). Luzi, L. et al. (2016), Engineering Strong Motion database, Seism. Res. Lett. 87,
-987-997, with the labels of DYNA 1.2, in which the Turkish TADAS exports too. National Research Institute
-for Earth Science and Disaster Resilience, About K-NET ASCII format,
-https://www.kyoshin.bosai.go.jp/kyoshin/man/knetform_en.html. Disaster and Emergency Management Authority
-(AFAD), text files of the Turkish National Strong Motion Network, https://tadas.afad.gov.tr. Sociedad
-Mexicana de Ingenieria Sismica, archivo estandar de aceleracion 2.0. COSMOS Strong Motion Data Format,
-version 1.20, 2001, Tables 2 (units), 9 (text), 10 (integers) and 11 (reals). Shakal, A. F. and Huang, M. J.
-(1985), Standard Tape Format for CSMIP Strong-Motion Data Tapes, OSMS 85-03. GNS Science, GeoNet
+A reader takes the lines of a file and yields its channels; `LAYOUTS` is the table of readers. Pacific
+Earthquake Engineering Research Center, AT2 (spellings have varied over the decades). Luzi, L. et al. (2016),
+Engineering Strong Motion database, Seism. Res. Lett. 87, 987-997, with the labels of DYNA 1.2, in which the
+Turkish TADAS exports too. National Research Institute for Earth Science and Disaster Resilience, About K-NET
+ASCII format, https://www.kyoshin.bosai.go.jp/kyoshin/man/knetform_en.html. Disaster and Emergency Management
+Authority (AFAD), text files of the Turkish National Strong Motion Network, https://tadas.afad.gov.tr.
+Sociedad Mexicana de Ingenieria Sismica, archivo estandar de aceleracion 2.0. COSMOS Strong Motion Data
+Format, version 1.20, 2001, Tables 2 (units), 9 (text), 10 (integers) and 11 (reals). Shakal, A. F. and Huang,
+M. J. (1985), Standard Tape Format for CSMIP Strong-Motion Data Tapes, OSMS 85-03. GNS Science, GeoNet
 strong-motion data, formats of volumes 1 and 2,
 https://www.geonet.org.nz/data/supplementary/strong_motion_file_formats. U.S. Geological Survey, SMC-format
 Data Files, sections 3 and 4, https://escweb.wr.usgs.gov/nsmp-data/smcfmt.html.
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import UTC, datetime
-from io import StringIO
+from itertools import pairwise, zip_longest
+from pathlib import Path
 
 import numpy as np
 
 from pymc_features._checks import warn_caller
-from pymc_features.io.reading.labels import known_factor
-from pymc_features.io.reading.lines import (
-    Lines,
-    column_width,
-    not_a_number,
-    to_count,
-    to_number,
-    warn_of_widths,
-)
-from pymc_features.io.reading.recording import Channel, Format, Opening, Recording, even_or_times
+from pymc_features.io.reading.labels import unit_of
+from pymc_features.io.reading.lines import Lines, column_width, finite, to_count, to_number, warn_of_widths
+from pymc_features.io.reading.recording import Channel, Recording, Request, even_or_times
 
 NO_SPECTRA = "the file must hold accelerations", "spectra (V3)", "Read the V2 file."
-
-# --- what headers state -----------------------------------------------------------------------------
 
 
 def positive(lines: Lines, value: float | None, what: str) -> float:
@@ -57,29 +48,22 @@ def number_after(text: str, phrase: str) -> float | None:
 def unit_in(text: str) -> str | None:
     """The first unit of acceleration among the words of a line, "cm/sec2" for example."""
     words = (word.strip(".;:") for word in re.split(r"[()=,\s]", text))
-    return next((word for word in words if known_factor(word) is not None), None)
+    return next((word for word in words if unit_of(word) and unit_of(word).quantity == "acceleration"), None)
 
 
-def check_peak(lines: Lines, name: str, values: np.ndarray, stated: float | None) -> None:
-    """Warn if the peak of the values is not the one that the file states, in the same unit."""
-    peak, stated = float(np.abs(values).max(initial=0.0)), abs(stated or 0.0)
-    if stated > 0.0 and values.size and abs(peak - stated) > 0.02 * stated + 0.005:
-        warn_caller(
-            f"{lines.title}, {name}: the file states a peak of {stated:.4g}, its values have {peak:.4g}. Is "
-            "it damaged?"
-        )
+def channel(lines: Lines, name: str, values: np.ndarray, unit, peak=None, factor=1.0, **place) -> Channel:
+    """A channel; a warning if the values, before the factor, have another peak than the file states."""
+    largest, stated = float(np.abs(values).max(initial=0.0)), abs(peak or 0.0)
+    if stated > 0.0 and values.size and abs(largest - stated) > 0.02 * stated + 0.005:
+        said = f"its values have {largest:.4g}. Is it damaged?"
+        warn_caller(f"{lines.title}, {name}: the file states a peak of {stated:.4g}, {said}")
+    return Channel(name, factor * values, unit, **place)
 
 
 def check_duration(lines: Lines, count: int, dt: float, stated: float | None, slack: tuple) -> None:
     """Refuse samples that take another time [s] than the header states; `slack` [s], and of it."""
     if stated is not None and abs(stated - count * dt) > slack[0] + slack[1] * stated:
         raise lines.error(f"{count} samples at {dt:g} s must take the time of the header", f"{stated:g} s")
-
-
-def check_end(lines: Lines, what: str) -> None:
-    """Refuse anything but blanks below the values."""
-    if (line := lines.peek()) is not None:
-        raise lines.error(f"nothing may follow {what}", repr(line.strip()[:60]))
 
 
 def labelled(lines: Lines, end: str | None = None) -> dict[str, str]:
@@ -97,24 +81,19 @@ def labelled(lines: Lines, end: str | None = None) -> dict[str, str]:
             facts.setdefault(" ".join(label.upper().split()), value.strip())
 
 
-# --- PEER AT2: what the values are, how many (NPTS) and how far apart (DT), in any words -------------
-
-MOST_HEADER_LINES = 200
 # of lines with single blanks; all repetitions are bounded, so that the time is proportional to the text
 _NUMBER = r"[-+]?(?:\d{1,20}(?:\.\d{0,20})?|\.\d{1,20})(?:[eEdD][-+]?\d{1,3})?"
 _NPTS = re.compile(r"\bNPTS\s?[=:]\s?(\d{1,12})(?![\dA-Za-z])", re.IGNORECASE | re.ASCII)
 _DT = re.compile(rf"\bDT\s?[=:]\s?({_NUMBER})", re.IGNORECASE | re.ASCII)
-_NPTS_DT = re.compile(
-    rf"(?<!\d)(\d{{1,12}})\s?,?\s({_NUMBER})\s?,?\s?NPTS\s?,?\s?DT", re.IGNORECASE | re.ASCII
-)
+_NPTS_DT = re.compile(rf"(?ia)(?<!\d)(\d{{1,12}})\s?,?\s({_NUMBER})\s?,?\s?NPTS\s?,?\s?DT")
 _UNITS = re.compile(r"\bunits\s?(?:\b(?:of|are|is|in)\b|[=:(])\s?\(?\s?([a-z/0-9^*²]{1,40})", re.IGNORECASE)
 _ACCELERATION_IN = re.compile(r"acceleration[a-z ]{0,60}\bin\s?\(?\s?([a-z/0-9^*]{1,40})", re.IGNORECASE)
 _DATE = re.compile(r"\b\d{1,2}/\d{1,2}/\d{2,4}\b", re.ASCII)
 _GLUED = re.compile(r"(?<=[\d.])([-+])", re.ASCII)
 
 
-def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
-    """The single series of a file, and its event."""
+def read_at2(lines: Lines) -> Iterator[Channel]:
+    """PEER AT2: what the values are, how many (NPTS) and how far apart (DT), in any words."""
     npts, header, values = next((k for k, line in lines if "NPTS" in line.upper()), 0), [], []
     first, last = 0, 0
     for number, line in lines:
@@ -123,65 +102,50 @@ def read_at2(lines: Lines) -> tuple[list[Channel], str | None]:
         if values or (number > npts and tokens and None not in map(to_number, tokens)):
             if line.startswith("***"):  # *** End Data ***
                 break
-            for token in tokens:
-                value = to_number(token)
-                if value is None or not np.isfinite(value):
-                    raise not_a_number(f"{lines.title}, line {number}", token)
-                values.append(value)
+            values += [finite(token, f"{lines.title}, line {number}") for token in tokens]
             first, last = first or number, number
-        elif number <= npts or len(header) < MOST_HEADER_LINES:
-            header = [*header[-MOST_HEADER_LINES:], " ".join(line.split())]
+        else:
+            header.append(" ".join(line.split()))
     if not values:
-        raise ValueError(
-            f"{lines.title} must hold values below its header, none was found. Is it an AT2 file?"
-        )
-    rows = enumerate(StringIO(lines.text), 1)
-    warn_of_widths(lines.title, (row for row in rows if first <= row[0] <= last and row[1].strip()))
+        raise ValueError(f"{lines.title} must hold values below its header, none was found. Is it AT2?")
+    rows = enumerate(lines.whole[first - 1 : last], first)
+    warn_of_widths(lines.title, ((number, row) for number, row in rows if row.strip()))
     text = "\n".join(header)
     both = _NPTS_DT.search(text)
     count, step = both.groups() if both else [m and m[1] for m in (_NPTS.search(text), _DT.search(text))]
     if count and len(values) != int(count):
-        raise ValueError(
-            f"{lines.title} must hold the NPTS = {int(count)} values its header announces, got "
-            f"{len(values)}. Fetch the file again or correct the header."
-        )
+        said = f"the NPTS = {int(count)} values its header announces, got {len(values)}"
+        raise ValueError(f"{lines.title} must hold {said}. Fetch the file again or correct the header.")
     if not count and "NPTS" in text.upper():
         raise ValueError(f"{lines.title} must state NPTS as a whole number, it does not. Correct the header.")
     if not count and step:
-        warn_caller(
-            f"{lines.title} states its step, but no number of values (NPTS) to compare with. Is it whole?"
-        )
+        warn_caller(f"{lines.title} states its step, but no number of values (NPTS). Is it whole?")
     unit, words = _UNITS.search(text), _ACCELERATION_IN.search(text)
-    if unit is None and words is not None and known_factor(words[1]) is not None:
+    if unit is None and words is not None and unit_in(words[1]):
         unit = words
     dated = [line for line in header if _DATE.search(line)]
+    lines.event = dated[0] if len(dated) == 1 else None
     step = to_number(step) if step else None  # DT = 0 states nothing
-    channel = Channel(lines.stem, np.array(values), unit and unit[1], step or None)
-    return [channel], dated[0] if len(dated) == 1 else None
+    yield Channel(lines.stem, np.array(values), unit and unit[1], step or None)
 
 
-# --- ESM and ITACA: one column of accelerations ------------------------------------------------------
-
-
-def read_esm(lines: Lines) -> tuple[list[Channel], str]:
-    """One component."""
+def read_esm(lines: Lines) -> Iterator[Channel]:
+    """ESM and ITACA: one component, in one column."""
     facts = labelled(lines)
     n_times = positive(lines, to_count(facts.get("NDATA", "")), "NDATA")
     dt = positive(lines, to_number(facts.get("SAMPLING_INTERVAL_S", "")), "SAMPLING_INTERVAL_S")
     check_duration(lines, n_times, dt, to_number(facts.get("DURATION_S", "")), (1.5 * dt, 0.01))
     if (kind := facts.get("DATA_TYPE", "")).upper() != "ACCELERATION":
         raise lines.error("DATA_TYPE must be ACCELERATION", repr(kind), "Fetch the file of the acceleration.")
-    values = lines.words(n_times, "values, NDATA")
-    check_end(lines, f"the NDATA = {n_times} values")
-    name = facts.get("STREAM") or "acceleration"
-    check_peak(lines, name, values, to_number(facts.get("PGA_CM/S^2", "")))
+    values = lines.numbers(n_times, "values, NDATA")
+    name, peak = facts.get("STREAM") or "acceleration", to_number(facts.get("PGA_CM/S^2", ""))
     start, text = None, facts.get("DATE_TIME_FIRST_SAMPLE_YYYYMMDD_HHMMSS", "")
     if text:
         whole, _, fraction = text.partition(".")
         start = _moment(lines, whole, "%Y%m%d_%H%M%S", "20190728_160919.870")
         start += to_number(f"0.{fraction}") or 0.0
-    station = f"{facts.get('NETWORK', '')}.{facts.get('STATION_CODE', '')} {name}".strip(". ")
-    return [Channel(name, values, facts.get("UNITS") or None, dt, start=start)], station
+    lines.event = f"{facts.get('NETWORK', '')}.{facts.get('STATION_CODE', '')} {name}".strip(". ")
+    yield channel(lines, name, values, facts.get("UNITS") or None, peak, dt=dt, start=start)
 
 
 def _moment(lines: Lines, text: str, form: str, example: str) -> float:
@@ -192,16 +156,14 @@ def _moment(lines: Lines, text: str, form: str, example: str) -> float:
         raise lines.error(f"the time of the record must be as {example}", repr(text)) from None
 
 
-# --- K-NET and KiK-net: counts below seventeen lines -------------------------------------------------
-
 KNET = "station code", "record time", "sampling freq(hz)", "duration time(s)", "dir"
 KNET += "scale factor", "max acc (gal)"
 DIRECTIONS = {"1": "NS1", "2": "EW1", "3": "UD1", "4": "NS2", "5": "EW2", "6": "UD2"}  # 2: at the surface
 DELAY = 15.0 + 9 * 3600.0  # [s], of the trigger, and of Japanese time on UTC
 
 
-def read_knet(lines: Lines) -> tuple[list[Channel], str]:
-    """One component [gal], without the mean of its counts, as for the maximum that the header states."""
+def read_knet(lines: Lines) -> Iterator[Channel]:
+    """K-NET and KiK-net: one component [gal], without the mean of its counts, as for the stated maximum."""
     found = {}
     for _ in range(17):
         words = lines.take("17 lines of header").split()
@@ -218,36 +180,30 @@ def read_knet(lines: Lines) -> tuple[list[Channel], str]:
     station, time, rate, duration, direction, scale, peak = (found[label] for label in KNET)
     rate = positive(lines, to_count(rate.lower().removesuffix("hz").strip()), "the sampling frequency")
     duration = positive(lines, to_number(duration), "the duration")
-    scales = [to_number(part.strip()) for part in scale.lower().split("(gal)/")]
-    what = "the scale factor, as 3920(gal)/6182761"
-    full, scale = (positive(lines, part, what) for part in [*scales, None][:2])
-    counts = lines.words(round(rate * duration), "values, frequency times duration", whole=True)
-    check_end(lines, "the values, frequency times duration")
+    scales, what = [*scale.lower().split("(gal)/"), ""][:2], "the scale factor, as 3920(gal)/6182761"
+    full, scale = (positive(lines, to_number(part.strip()), what) for part in scales)
+    counts = lines.numbers(round(rate * duration), "values, frequency times duration", whole=True)
     gal = full / scale * (counts - counts.mean())
     direction = DIRECTIONS.get(direction, direction)
-    check_peak(lines, direction, gal, to_number(peak))
     start = _moment(lines, time, "%Y/%m/%d %H:%M:%S", "2006/01/18 23:25:46") - DELAY
-    return [Channel(direction, gal, "gal", 1.0 / rate, start=start)], f"{station} {direction}, {time}"
+    lines.event = f"{station} {direction}, {time}"
+    yield channel(lines, direction, gal, "gal", to_number(peak), dt=1.0 / rate, start=start)
 
 
-# --- NSMN and UNAM: columns of all directions ---------------------------------------------------------
-
-
-def read_nsmn(lines: Lines) -> list[Channel]:
-    """The three components of a file [gal]."""
+def read_nsmn(lines: Lines) -> Iterator[Channel]:
+    """NSMN: columns of three components [gal]."""
     lines.take("a title")
     facts = labelled(lines, "N-S")  # so begins the line with the directions
     directions = lines.last.split()
     n_times = positive(lines, to_count(facts.get("NUMBER OF DATA", "")), "NUMBER OF DATA")
     dt = positive(lines, to_number(facts.get("SAMPLING INTERVAL (SEC)", "")), "SAMPLING INTERVAL (SEC)")
     width = len(directions)
-    values = lines.words(n_times * width, "rows, the number of data", per_line=width).reshape(-1, width)
-    check_end(lines, f"the {n_times} rows")
-    return [Channel(name, column, "gal", dt) for name, column in zip(directions, values.T, strict=True)]
+    values = lines.numbers(n_times * width, "rows, the number of data", per_line=width).reshape(-1, width)
+    yield from (Channel(name, column, "gal", dt) for name, column in zip(directions, values.T, strict=True))
 
 
-def read_unam(lines: Lines) -> list[Channel]:
-    """The channels of a file."""
+def read_unam(lines: Lines) -> Iterator[Channel]:
+    """UNAM: columns of all directions."""
     facts = labelled(lines, "DATOS DE ACELERACION")
 
     def listed(*labels: str) -> list[str]:
@@ -267,68 +223,28 @@ def read_unam(lines: Lines) -> list[Channel]:
     dt = positive(lines, steps.pop(), "the interval")
     for text in listed("DURACION DEL REGISTRO"):  # a decimated file may state the step of the recorder
         check_duration(lines, n_times, dt, to_number(text), (2.0 * dt, 0.01))
-    unit = facts.get("UNIDADES DE LOS DATOS", "").split()[:1]
-    for _ in range(4):
-        lines.take("four lines of titles above the values")
+    unit = next(iter(facts.get("UNIDADES DE LOS DATOS", "").split()), None)
+    lines.several(4, "lines of titles above the values")
     width = column_width("(" + next((facts[key] for key in facts if key.startswith("FORMATO DATOS")), ""), 10)
-    values = lines.fields(n_times * len(directions), width, "values").reshape(-1, len(directions))
-    check_end(lines, f"the {n_times} rows")
-    peaks = [to_number(text) for text in listed("ACEL. MAX.(GAL)")]
-    for name, column, peak in zip(directions, values.T, [*peaks, *[None] * len(directions)], strict=False):
-        check_peak(lines, name, column, peak)
-    return [Channel(name, column, *unit, dt=dt) for name, column in zip(directions, values.T, strict=True)]
+    columns = lines.numbers(n_times * len(directions), "values", width).reshape(-1, len(directions)).T
+    peaks = zip_longest(directions, map(to_number, listed("ACEL. MAX.(GAL)")))
+    for (name, peak), column in zip(peaks, columns, strict=False):
+        yield channel(lines, name, column, unit, peak, dt=dt)
 
-
-# --- COSMOS V0 to V2: text, integers, reals and comments above each series ------------------------
 
 UNITS = {2: (1.0, "g"), 4: (1.0, "cm/s^2"), 7: (0.0254, "m/s^2")}
 UNITS |= {10: (1.0, "gal"), 11: (1e-3, "g"), 12: (1e-6, "g")}
 QUANTITIES = ("accel", "veloc", "displ", "rotat", "angul", "press", "strain", "speed")
-STEP, RAW_STEP, PEAK = 61, 33, 63  # reals: of the series [ms], of the recorder [s], signed
-
-
-def _text(lines: Lines, count: int, what: str) -> list[str]:
-    """Lines of text, from the next one that is not blank."""
-    while not (first := lines.take(what)).strip():
-        pass
-    return [first, *(lines.take(f"{count} lines of text") for _ in range(count - 1))]
-
-
-def read_cosmos(lines: Lines) -> list[Channel]:
-    """All accelerations of a file, each below headers of its own."""
-    channels = []
-    while (line := lines.peek()) is not None:
-        if "(format v" not in line.lower():
-            raise lines.error("the next channel must begin with its format version", repr(line.strip()[:60]))
-        first = _text(lines, 1, "a channel")[0].lower()
-        if "spectr" in first:
-            raise lines.error(*NO_SPECTRA)
-        n_text = to_count(next(iter(first.rpartition("with")[2].split()), ""))
-        n_text = positive(lines, n_text, "the number of text lines")
-        text = [lines.take(f"{n_text} lines of text") for _ in range(n_text - 1)]
-        _announced(lines, "integer", 8)
-        reals = _announced(lines, "real", 13)
-        _announced(lines, "comment")
-        name = " ".join(text[7].partition("(")[0].split()[2:]) if n_text > 8 else ""
-        channels += _cosmos_series(lines, name or "acceleration", np.append(reals, np.zeros(PEAK + 1)))
-    return channels
 
 
 def _counted(lines: Lines, what: str, *words: str) -> tuple[int, str]:
     """The number that begins the next line that is not blank, and the line, which has some words."""
-    line = _text(lines, 1, what)[0].lower()
+    lines.peek()
+    line = lines.take(what).lower()
     count = to_count(next(iter(line.split()), ""))
     if count is None or not all(word in line for word in words):
         raise lines.error(f"{what} must stand here")
     return count, line
-
-
-def _announced(lines: Lines, kind: str, width: int = 0) -> np.ndarray | None:
-    """The integers or reals below the line that says how many they are; of comments that they are some."""
-    count, line = _counted(lines, f"the number of {kind} header values or lines", kind)
-    if width:
-        return lines.fields(count, column_width(line, width), f"{kind} header values")
-    return _comments(lines, count)
 
 
 def _comments(lines: Lines, count: int) -> None:
@@ -337,39 +253,53 @@ def _comments(lines: Lines, count: int) -> None:
             raise lines.error("a comment must begin with |", "another line")
 
 
-def _cosmos_series(lines: Lines, name: str, reals: np.ndarray) -> Iterator[Channel]:
-    """Accelerations up to the next headers; velocities and displacements are passed over."""
-    while (line := lines.peek()) is not None and "(format v" not in line.lower():
-        if line.lstrip().lower().startswith("end-of-data"):
-            _text(lines, 1, "a series")
-            continue
-        what = "the number of points, their units and quantity, as acceleration,"
-        n_times, line = _counted(lines, what, "units=")
-        if not any(word in line for word in QUANTITIES):
-            raise lines.error(f"{what} must stand here")
-        values = lines.fields(n_times, column_width(line, 10), "values")
-        if "accel" not in line or "velocity" in line:
-            continue
-        word, _, code = line.partition("units=")[2].partition("(")
-        factor, unit = UNITS.get(to_count(code.partition(")")[0].strip()), (1.0, word.strip(" ,")))
-        steps = [float(step) for step in (1e-3 * reals[STEP], reals[RAW_STEP]) if step > 0.0]
-        if steps:
-            check_duration(lines, n_times, steps[0], number_after(line, "approx"), (1.0, 0.02))
-        check_peak(lines, name, values, reals[PEAK] if reals[PEAK] > -999.0 else None)
-        yield Channel(name, factor * values, unit, next(iter(steps), None))
+def read_cosmos(lines: Lines) -> Iterator[Channel]:
+    """COSMOS V0 to V2: text, integers, reals and comments above each series; accelerations are taken."""
+    reals = np.zeros(0)
+    while (line := lines.peek()) is not None:
+        if "(format v" not in line.lower():
+            raise lines.error("the next channel must begin with its format version", repr(line.strip()[:60]))
+        first = lines.take("a channel").lower()
+        if "spectr" in first:
+            raise lines.error(*NO_SPECTRA)
+        n_text = to_count(next(iter(first.rpartition("with")[2].split()), ""))
+        text = lines.several(positive(lines, n_text, "the number of text lines") - 1, "more lines of text")
+        for kind, width in (("integer", 8), ("real", 13)):
+            count, line = _counted(lines, f"the number of {kind} header values or lines", kind)
+            reals = lines.numbers(count, f"{kind} header values", column_width(line, width))
+        _comments(lines, _counted(lines, "the number of comment header values or lines", "comment")[0])
+        # the step of the recorder [s], that of the series [ms], its peak
+        recorded, step, peak = np.append(reals, np.zeros(64))[[33, 61, 63]].tolist()
+        steps = [step for step in (1e-3 * step, recorded) if step > 0.0]
+        peak = peak if peak > -999.0 else None
+        name = " ".join(text[7].partition("(")[0].split()[2:]) if len(text) > 7 else ""
+        while (line := lines.peek()) is not None and "(format v" not in line.lower():
+            if line.lstrip().lower().startswith("end-of-data"):
+                lines.take("a series")
+                continue
+            what = "the number of points, their units and quantity, as acceleration,"
+            n_times, line = _counted(lines, what, "units=")
+            if not any(word in line for word in QUANTITIES):
+                raise lines.error(f"{what} must stand here")
+            values = lines.numbers(n_times, "values", column_width(line, 10))
+            if "accel" not in line or "velocity" in line:
+                continue
+            if steps:
+                check_duration(lines, n_times, steps[0], number_after(line, "approx"), (1.0, 0.02))
+            word, _, code = line.partition("units=")[2].partition("(")
+            factor, unit = UNITS.get(to_count(code.partition(")")[0].strip()), (1.0, word.strip(" ,")))
+            dt = steps[0] if steps else None
+            yield channel(lines, name or "acceleration", values, unit, peak, factor, dt=dt)
 
-
-# --- CSMIP and CESMD, volumes 1 and 2, in lines of 80; film is digitised at uneven times -----------------
 
 UNCORRECTED, CORRECTED = "uncorrected accelerogram data", "corrected accelerogram"
 SPECTRA = "response and fourier"
+CSMIP = rf"\s*({UNCORRECTED}|{CORRECTED}.*\n.*uncorrected accelerogram|{SPECTRA}.*\n.*{CORRECTED})"
 TEXT_LINES, NUMBER_LINES = {1: 13, 2: 25}, {1: 14, 2: 20}  # by volume
-PAIR_WIDTH, PAIR_QUANTUM = 7, 1e-3  # characters; [s]
 
 
-def read_csmip(lines: Lines) -> list[Channel]:
-    """All channels of a file of either volume."""
-    channels = []
+def read_csmip(lines: Lines) -> Iterator[Channel]:
+    """CSMIP and CESMD, volumes 1 and 2, in lines of 80 characters."""
     while (line := lines.peek()) is not None:
         first = line.strip().lower()
         volume = next((v for v, begins in ((1, UNCORRECTED), (2, CORRECTED)) if first.startswith(begins)), 0)
@@ -377,26 +307,24 @@ def read_csmip(lines: Lines) -> list[Channel]:
             raise lines.error(*NO_SPECTRA)
         if not volume and not first.startswith(("/&", "end")):
             raise lines.error("a channel or its end must follow", repr(line.strip()[:60]))
-        text = _text(lines, TEXT_LINES.get(volume, 1), "a channel or its end")
-        for _ in range(NUMBER_LINES.get(volume, 0)):  # which repeat what text and the line above values say
-            lines.take(f"{NUMBER_LINES[volume]} lines of numbers below the text")
+        text = lines.several(TEXT_LINES.get(volume, 1), "lines of text")
+        # which repeat what text and the line above values say
+        lines.several(NUMBER_LINES.get(volume, 0), "lines of numbers below the text")
         text = [" ".join(line.split()) for line in text]
         if volume == 1:
-            channels.append(_volume_1(lines, text))
+            yield _volume_1(lines, text)
         elif volume == 2:
-            channels.append(_section(lines, "accel", text[7], number_after(text[17], "peak acceleration")))
+            yield _section(lines, "accel", text[7], number_after(text[17], "peak acceleration"))
             while "points of" in (lines.peek() or "").lower():
                 _section(lines, lines.peek().lower().partition("points of")[2].split()[0], "")
-    return channels
 
 
 def _section(lines: Lines, quantity: str, name: str, peak: float | None = None) -> Channel:
     """A series below the line that says how many values there are, how far apart, and in which unit."""
     count, line = _counted(lines, f"the number of points of {quantity} data", quantity, "points")
     dt = positive(lines, number_after(line, "spaced at"), "the step")
-    values = lines.fields(count, column_width(line, 10), "values")
-    check_peak(lines, name, values, peak)
-    return Channel(name, values, unit_in(line.partition("sec")[2]), dt)
+    values = lines.numbers(count, "values", column_width(line, 10))
+    return channel(lines, name, values, unit_in(line.partition("sec")[2]), peak, dt=dt)
 
 
 def _volume_1(lines: Lines, text: list[str]) -> Channel:
@@ -405,39 +333,31 @@ def _volume_1(lines: Lines, text: list[str]) -> Channel:
         n_pairs = positive(lines, number_after(text[10], "points"), "the number of points")
         if n_pairs != round(n_pairs):
             raise lines.error("the number of points must be whole", n_pairs)
-        times, values = lines.fields(2 * int(n_pairs), PAIR_WIDTH, "times and values").reshape(-1, 2).T
-        spacing = even_or_times(times, PAIR_QUANTUM, lambda row: lines.where())
+        times, values = lines.numbers(2 * int(n_pairs), "times and values", 7).reshape(-1, 2).T
+        spacing = even_or_times(times, 1e-3, lambda row: lines.where())
         unit = text[11].lower().partition(" and ")[2]
     else:
         count, line = _counted(lines, "the number of points, and their rate in pts/sec,", "pts/sec")
         rate = positive(lines, number_after(line, "points at"), "the samples in a second")
-        values, spacing = lines.fields(count, column_width(line, 9), "values"), {"dt": 1.0 / rate}
+        values, spacing = lines.numbers(count, "values", column_width(line, 9)), {"dt": 1.0 / rate}
         unit = line.partition("units of")[2]
     word = next(iter(unit.split()), "").strip(".,")
     factor, unit = (0.1, "g") if word == "g/10" else (1.0, unit_in(word))
     return Channel(text[6], factor * values, unit, **spacing)
 
 
-# --- GeoNet V1A and V2A: three components, one below the other, in columns of eight -----------------------
-
-POINTS = 33  # integers: of accelerations, then of velocities and displacements
-STEP_1, STEP_2 = 24, 25  # reals, of volumes 1 and 2 [s]
-
-
-def read_geonet(lines: Lines) -> list[Channel]:
-    """The components of a file."""
-    channels = []
+def read_geonet(lines: Lines) -> Iterator[Channel]:
+    """GeoNet V1A and V2A: three components, one below the other, in columns of eight characters."""
     while lines.peek() is not None:
-        text = _text(lines, 16, "a component")
+        text = lines.several(16, "lines of text")
         volume = text[0].lower()
         if "corrected accelerogram" not in volume:
             raise lines.error("a component must begin with its volume", repr(text[0].strip()[:60]))
-        integers, reals = lines.fields(40, 8, "integers"), lines.fields(60, 8, "reals")
-        step = STEP_1 if volume.startswith("uncorrected") else STEP_2
-        n_times = int(integers[POINTS])
-        dt = positive(lines, float(reals[step]), "the step")
-        said, words = number_after(text[9], "points"), text[10].split()
-        steps = [to_number(a) for a, b in zip(words, words[1:], strict=False) if b.lower() in ("s", "sec")]
+        integers, reals = lines.numbers(40, "integers", 8), lines.numbers(60, "reals", 8)
+        n_times, *n_others = integers[33:36].astype(int).tolist()  # of velocities and displacements
+        dt = positive(lines, float(reals[24 if volume.startswith("uncorrected") else 25]), "the step")
+        said, words = number_after(text[9], "points"), pairwise(text[10].split())
+        steps = [to_number(number) for number, unit in words if unit.lower() in ("s", "sec")]
         if said != n_times or not steps or steps[0] is None or abs(steps[0] - dt) > 0.01 * dt:
             raise lines.error(
                 f"the header must state one number of points and one step, in numbers {n_times} and {dt:g} s",
@@ -445,117 +365,55 @@ def read_geonet(lines: Lines) -> list[Channel]:
             )
         if text[13].split()[3:4] != ["mm/s/s"] or number_after(text[10], "in units of") not in (None, 1.0):
             raise lines.error("accelerations must be in mm/s/s", repr(text[13].strip()[:60]))
-        values = lines.fields(n_times, 8, "accelerations")
-        for n_others in integers[POINTS + 1 : POINTS + 3]:  # velocities, displacements
-            lines.fields(max(int(n_others), 0), 8, "values")
+        values = lines.numbers(n_times, "accelerations", 8)
+        for count in n_others:
+            lines.numbers(max(count, 0), "values", 8)
         name = next(iter(text[12].partition("Component")[2].split()), "acceleration")
-        check_peak(lines, name, values, number_after(text[13], "peak"))
-        channels.append(Channel(name, 1e-3 * values, "m/s^2", dt))
-    return channels
+        yield channel(lines, name, values, "m/s^2", number_after(text[13], "peak"), 1e-3, dt=dt)
 
 
-# --- SMC: one series; those of film have no rate, and are pairs of time and acceleration ------------------
-
-N_COMMENTS, N_VALUES = 15, 16  # of the 48 integers
-NULL, RATE, HIGHEST, LOWEST = 0, 1, 29, 31  # of the 50 reals
-DIGITS = 5  # that are printed of every value
-
-
-def read_smc(lines: Lines) -> list[Channel]:
-    """The acceleration of a file [cm/s^2]."""
-    text = [lines.take("11 lines of text") for _ in range(11)]
+def read_smc(lines: Lines) -> Iterator[Channel]:
+    """SMC: one series [cm/s^2]; of film it has no rate, and is pairs of time and acceleration."""
+    text = lines.several(11, "lines of text")
     if "accelerogram" not in text[0].lower():
         raise ValueError(f"{lines.title} must hold an acceleration, got {text[0].strip()[:40]!r}.")
-    integers, reals = lines.fields(48, 10, "integers"), lines.fields(50, 15, "reals")
-    n_values = int(integers[N_VALUES])
-    _comments(lines, int(integers[N_COMMENTS]))
-    values = lines.fields(n_values, 10, "values")
-    check_end(lines, f"the {n_values} values")
+    integers, reals = lines.numbers(48, "integers", 10), lines.numbers(50, "reals", 15)
+    n_comments, n_values = integers[15:17].astype(int).tolist()
+    _comments(lines, n_comments)
+    values = lines.numbers(n_values, "values", 10)
     name = " ".join(text[5].partition("component=")[2].split()) or "acceleration"
-    stated = {k: float(reals[k]) for k in (RATE, HIGHEST, LOWEST)}
-    stated = {k: real for k, real in stated.items() if not np.isclose(real, reals[NULL], rtol=1e-3)}
-    if RATE in stated:
-        spacing = {"dt": 1.0 / positive(lines, stated[RATE], "the samples in a second")}
+    null, *facts = reals[[0, 1, 29, 31]].tolist()
+    rate, *peaks = (None if np.isclose(fact, null, rtol=1e-3) else fact for fact in facts)
+    if rate is not None:
+        spacing = {"dt": 1.0 / positive(lines, rate, "the samples in a second")}
     elif values.size % 2 or values.size < 4:
         raise lines.error("values without a rate must be pairs of time and acceleration", values.size)
     else:
         times, values = values.reshape(-1, 2).T
-        quantum = 10.0 ** (np.floor(np.log10(max(times[-1], 1e-9))) - DIGITS + 1)
+        quantum = 10.0 ** (np.floor(np.log10(max(times[-1], 1e-9))) - 4)  # five digits are printed
         spacing = even_or_times(times, quantum, lambda row: lines.where())
-    check_peak(
-        lines, name, values, max((abs(stated[k]) for k in (HIGHEST, LOWEST) if k in stated), default=None)
-    )
-    return [Channel(name, values, "cm/s^2", **spacing)]
+    peak = max((abs(peak) for peak in peaks if peak is not None), default=None)
+    yield channel(lines, name, values, "cm/s^2", peak, **spacing)
 
 
-# --- the table: name, how the first lines begin in lower case, usual endings, what files state, reader ------
-
-LAYOUTS: tuple[tuple[str, str, str, str, Callable], ...] = (
-    ("PEER AT2", r"(.*\n){0,19}(?=.*npts).*dt", ".AT2", "step, number of values, units, event", read_at2),
-    (
-        "COSMOS",
-        r"(?=.*\(format v).*text lines",
-        ".v0, .v1, .v2, .V1c, .V2c",
-        "step, units, channels, peak, format of the columns",
-        read_cosmos,
-    ),
-    (
-        "CSMIP and CESMD",
-        rf"\s*({UNCORRECTED}|{CORRECTED}.*\n.*uncorrected accelerogram|{SPECTRA}.*\n.*{CORRECTED})",
-        ".v1, .v2, .raw",
-        "step (times, of film), units, channels, peak; V3 files hold spectra and are refused",
-        read_csmip,
-    ),
-    (
-        "SMC",
-        r"\d.*(accelerogram|velocity|displacement|spectr).*\n\*",
-        ".smc",
-        "step (times, of film), component, peak; cm/s^2",
-        read_smc,
-    ),
-    (
-        "GeoNet",
-        r"(un)?corrected accelerogram.*\nsite ",
-        ".V1A, .V2A",
-        "step, mm/s^2, components, peak",
-        read_geonet,
-    ),
-    (
-        "ESM and ITACA",
-        r"event_name:.*\n(.*\n)?event_id:",
-        ".ASC",
-        "step, units, component, start, peak",
-        read_esm,
-    ),
-    (
-        "K-NET and KiK-net",
-        r"origin time.*\nlat\.",
-        ".NS, .EW, .UD, .NS1, .EW1, .UD1, .NS2, .EW2, .UD2",
-        "scale, step, direction, start, peak; the mean is taken off, as for the peak in the header",
-        read_knet,
-    ),
-    ("NSMN", r"\s*strong ground motion records of turk", ".txt", "step, directions; gal", read_nsmn),
-    (
-        "UNAM",
-        r"(.*\n){0,29}.*archivo estandar de aceleracion",
-        "day and number, .191",
-        "step, units, directions, peaks",
-        read_unam,
-    ),
-)
+#: By the name of a format, how its first lines begin, in lower case, or its suffix, and what reads it.
+LAYOUTS = {
+    "PEER AT2": (r"\.at2$|(.*\n){0,19}(?=.*npts).*dt", read_at2),
+    "COSMOS": (r"(?=.*\(format v).*text lines", read_cosmos),
+    "CSMIP and CESMD": (CSMIP, read_csmip),
+    "SMC": (r"\d.*(accelerogram|velocity|displacement|spectr).*\n\*", read_smc),
+    "GeoNet": (r"(un)?corrected accelerogram.*\nsite ", read_geonet),
+    "ESM and ITACA": (r"event_name:.*\n(.*\n)?event_id:", read_esm),
+    "K-NET and KiK-net": (r"origin time.*\nlat\.", read_knet),
+    "NSMN": (r"\s*strong ground motion records of turk", read_nsmn),
+    "UNAM": (r"(.*\n){0,29}.*archivo estandar de aceleracion", read_unam),
+}
 
 
-def _format(name: str, begins: str, files: str, states: str, read: Callable) -> Format:
-    def recording(path, request) -> Recording:
-        found = read(Lines(path, name.partition(" and ")[0]))
-        channels, title = found if isinstance(found, tuple) else (found, None)
-        return Recording(path.name, channels, title)
-
-    def recognises(opening: Opening) -> bool:
-        text = "\n".join(opening.lines[:30]).lower()
-        return opening.suffix == files.lower() == ".at2" or re.match(begins, text) is not None
-
-    return Format(name, recognises, files, states, recording)
-
-
-STRONG_MOTION = tuple(_format(*layout) for layout in LAYOUTS)
+def read_strong_motion(name: str, path: Path, request: Request) -> Recording:
+    """The channels of a file of one of the layouts, below which nothing may follow."""
+    lines = Lines(path, name.partition(" and ")[0])
+    channels = list(LAYOUTS[name][1](lines))
+    if lines.announced and (line := lines.peek()) is not None:
+        raise lines.error(f"nothing may follow the {lines.announced}", repr(line.strip()[:60]))
+    return Recording(path.name, channels, lines.event)

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.io.reading.labels import BRACKETS, WORD, Label, known_factor, unit_of
-from pymc_features.io.reading.lines import Lines, not_a_number, to_number
-from pymc_features.io.reading.recording import Columns, Format, Recording, Request, clock_column, recording_of
+from pymc_features.io.reading.labels import BRACKETS, WORD, Label, unit_of
+from pymc_features.io.reading.lines import Lines, finite, not_a_number, to_number
+from pymc_features.io.reading.recording import Columns, Recording, Request, clock_column, recording_of
 
 COMMENTS = ("#", "%", "//")
 SEPARATORS = ("\t", ";", "|", ",", " ")
@@ -23,16 +23,15 @@ NO_UNIT = {"", "-", "[]", "TS", "RN"}  # in a row of units; the last two in tabl
 MISSING = ("", "nan", "+nan", "-nan")  # cells of a gap, in lower case
 MOST_HEADER_LINES = 10_000
 FEW = 200_000  # characters that are read cell by cell before pandas is imported
-SAMPLED = 200  # lines whose printed digits say how fine a column is
+SAMPLED = 200  # lines of usual length, at both ends, whose printed digits say how fine a column is
 ENDS = 12  # lines that tell whether the last one is whole
 DATES = ["%Y-%m-%d", "%d.%m.%Y", "%d-%b-%Y", "%d.%m.%y", "%d/%m/%Y"]
 DATES += ["%m/%d/%Y", "%Y/%m/%d", "%Y.%m.%d", "%d-%m-%Y", "%m-%d-%Y"]
 DATE = r"\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.](?:\d\d?|[A-Z][a-z]{2})[-/.]\d{4}|\d\d\.\d\d\.\d\d"
 STAMP = re.compile(
-    rf"(?:(?P<date>{DATE})(?:T|[ ,;]\s*))?"
+    rf"(?a)(?:(?P<date>{DATE})(?:T|[ ,;]\s*))?"
     r"(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?P<fraction>[.,]\d+)?)?"
-    r"(?P<half>\s?[AaPp][Mm])?(?P<zone>\s?Z|\s?UTC|\s?GMT|\s?[+-]\d\d:?\d\d)?",
-    re.ASCII,
+    r"(?P<half>\s?[AaPp][Mm])?(?P<zone>\s?Z|\s?UTC|\s?GMT|\s?[+-]\d\d:?\d\d)?"
 )
 
 
@@ -115,12 +114,17 @@ def read_columns(path: Path, request: Request) -> Columns:
         lines.raw = COMPACT.sub(rb"\1-\2-\3T\4:\5:\6", lines.raw)
     header, first, layout = _header(lines)
     _refuse_spoilt_first(path.name, header, first, layout)
-    start = lines.at(first)
-    _refuse_cut_last(lines, start, layout)
+    start = sum(map(len, islice(BytesIO(lines.raw), first - 1)))
+    places = (start, start + 80 * SAMPLED), (max(start, len(lines.raw) - 80 * SAMPLED), None)
+    top, bottom = (lines.raw[slice(*place)].decode(errors="ignore").split("\n") for place in places)
+    decimals = [len(layout.cells(row)[-1].partition(".")[2]) for row in bottom[-ENDS:] if row.strip()]
+    if bottom[-1] and len(decimals) == ENDS and len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]:
+        said = "with fewer decimals than the lines above it. Fetch the file again, or cut the line."
+        raise ValueError(f"{path.name}: the last line must be whole, it ends in {bottom[-1][-12:]!r} {said}")
     found = None
     if len(lines.raw) > FEW and not request.wrapped:
         with suppress(ValueError, OverflowError):  # of a row that is not as the first
-            found = _by_pandas(lines, start, layout)
+            found = _by_pandas(lines, start, top[0].rstrip(), layout)
     origin, values = found or _cell_by_cell(lines, first, layout, request)
     labels, own, unit = _labels(header, layout)
     rows_in_line = 1.0
@@ -130,21 +134,20 @@ def read_columns(path: Path, request: Request) -> Columns:
         values = values.reshape(-1, 2) if paired else values[:, None]
         rows_in_line = layout.count / values.shape[1]
         labels, own = [Label("", "")] * values.shape[1], False
-    if values.shape[0] - request.skip < 2:
-        raise ValueError(
-            f"{path.name} must hold at least 2 samples, got {max(values.shape[0] - request.skip, 0)}."
-        )
+    values = values[request.skip :]
+    if len(values) < 2:
+        raise ValueError(f"{path.name} must hold at least 2 samples, got {len(values)}.")
 
     def where(row: int, column: int) -> str:
-        wanted = int((row + request.skip) / rows_in_line)
-        number = next(n for k, (n, _) in enumerate(_rows(lines, first)) if k == wanted)
-        return f"{path.name}, line {number}"
+        line = int((row + request.skip) / rows_in_line)
+        return f"{path.name}, line {next(islice(_rows(lines, first), line, None))[0]}"
 
     def resolution(index: int) -> float:
-        return _resolution(lines, start, layout, index, np.abs(values[:, index]).max())
+        rows = [*top[:-1], *bottom[1:]] or top
+        return _resolution(rows, layout, index, np.abs(values[:, index]).max())
 
     stamp = layout.stamp[0] if layout.stamp else None
-    return Columns(path.name, labels, values[request.skip :], where, resolution, own, stamp, origin, unit)
+    return Columns(path.name, labels, values, where, resolution, own, stamp, origin, unit)
 
 
 def read_text(path: Path, request: Request) -> Recording:
@@ -166,13 +169,10 @@ def is_paired(values: np.ndarray, n_columns: int) -> bool:
     return even and all((np.diff(values[:n, ::2].ravel()) > 0.0).all() for n in (100, None))
 
 
-# --- above the numbers ------------------------------------------------------------------------------
-
-
 def _header(lines: Lines) -> tuple[list[tuple[int, str, bool]], int, Layout]:
     """Number, text and whether it is a comment of each line above the numbers; the first of these; how."""
-    header, numbered = [], iter(lines)
-    for (number, line), (_, after) in pairwise(chain(numbered, [(0, "")])):
+    header = []
+    for (number, line), (_, after) in pairwise(chain(lines, [(0, "")])):
         comment = line.startswith(COMMENTS)
         layout = None if comment else layout_of(line)
         if layout is not None and (layout.decimal == "," or layout.stamp):  # the next must be written alike
@@ -180,8 +180,7 @@ def _header(lines: Lines) -> tuple[list[tuple[int, str, bool]], int, Layout]:
             alike = below is not None and (below.separator, below.stamp) == (layout.separator, layout.stamp)
             layout = layout if alike else None
         if layout is not None:
-            layout = _with_fraction(line, after, layout)
-            return header, number, _one_column(lines, number, header, layout)
+            return header, number, _decimal_commas(lines, number, header, layout)
         header.append((number, line.lstrip("#%/ \t") if comment else line, comment))
         if len(header) == MOST_HEADER_LINES:
             break
@@ -201,56 +200,46 @@ def _word_among_numbers(number: int, line: str) -> str:
         cells = without_ends(split(line, separator))
         odd = [c for c in cells if to_number(c) is None and to_number(c.replace(",", ".")) is None]
         if len(odd) > 0 and len(cells) > 1 + len(odd):
-            what = odd[0] or "an empty cell"
-            return f"Line {number} has {what!r} among its numbers: leave such columns out. "
+            what = repr(odd[0] or "an empty cell")
+            return f"Line {number} has {what} among its numbers: leave such columns out. "
     return ""
 
 
-def _one_column(lines: Lines, first: int, header, layout: Layout) -> Layout:
-    """The layout of one column with decimal commas, 0,12: below a single label, or with zeros behind them."""
-    if layout != Layout(",", ".", 2):
+def _decimal_commas(lines: Lines, first: int, header, layout: Layout) -> Layout:
+    """The layout if commas do not separate: in 10:00:00,250 and in one column, 0,12, below a single label."""
+    if layout.separator != ",":
         return layout
-    rows = [split(line, ",") for number, line in islice(_rows(lines, first), SAMPLED)]
-    plain = all(len(row) == 2 and not set(".eE") & set("".join(row)) for row in rows)
-    labels = [line for _, line, comment in header if not comment]
-    single = bool(labels) and len(split(labels[-1], ",")) == 1 and len(WORD.findall(labels[-1])) == 1
-    zeros = any(row[1][:1] == "0" and len(row[1]) > 1 or row[0] == "-0" for row in rows if len(row) == 2)
-    return Layout(" ", ",", 1) if plain and (single or zeros) else layout
-
-
-def _with_fraction(line: str, after: str, layout: Layout) -> Layout:
-    """The layout of 10:00:00,250 between commas: seconds that stand twice go on in the cell behind them."""
-    if layout.separator == "," and len(layout.stamp) == 1:
+    rows = [split(line, ",") for _, line in islice(_rows(lines, first), SAMPLED)]
+    if len(layout.stamp) == 1:  # seconds that stand twice go on in the cell behind them
         [k] = layout.stamp
-        cells = ([*split(text, ",")[k : k + 2], "", ""][:2] for text in (line, after))
-        (now, fraction), (then, further) = cells
+        (now, fraction), (then, further) = ([*row[k : k + 2], "", ""][:2] for row in [*rows, []][:2])
         digits = fraction.isdigit() and further.isdigit() and len(fraction) == len(further) in (3, 6)
         if now == then and digits and now.count(":") == 2 and "." not in now and layout.count > k + 2:
             return layout._replace(stamp=(k, k + 1))
+    elif layout == Layout(",", ".", 2) and all(len(row) == 2 for row in rows):
+        plain = all(not set(".eE") & set("".join(row)) for row in rows)
+        labels = [line for _, line, comment in header if not comment]
+        single = bool(labels) and len(split(labels[-1], ",")) == 1 and len(WORD.findall(labels[-1])) == 1
+        zeros = any(part[:1] == "0" and len(part) > 1 or whole == "-0" for whole, part in rows)
+        return Layout(" ", ",", 1) if plain and (single or zeros) else layout
     return layout
 
 
 def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
-    """Refuse a row among the lines above the numbers that is one of them, but for a cell.
-
-    Its first cell is a number in as many columns; or it is illegible, and numbers with a decimal point are
-    half of the cells below the labels, or all but one right above the numbers; or a time stamp stands in it
-    as below. A whole row of numbers above the labels is refused too.
-    """
+    """Refuse a row above the numbers that is one of them, but for a cell, or a whole one above the labels."""
     below_labels = False
     for number, line, comment in header:
         if comment:
             continue
         where, cells = f"{file}, line {number}", layout.cells(line)
         found = layout_of(line) if len(cells) == layout.n_columns else None
-        if found is not None and found[2:] == layout[2:] and found.separator == layout.separator:
+        if found is not None and found._replace(decimal=layout.decimal) == layout:
             raise ValueError(f"{where}: a row of numbers must not stand above the labels. Put these on top.")
         stamped = bool(layout.stamp) and bool(_stamp(cells))
         rest = [cell for cell in cells if not (stamped and STAMP.fullmatch(cell))]
-        numbers = [cell for cell in rest if to_number(cell) is not None]
-        measured, size = sum("." in cell for cell in numbers), len(rest)
-        begins = len(cells) == layout.n_columns > 1 and to_number(cells[0]) is not None
         odd = [cell for cell in rest if to_number(cell) is None]
+        measured = sum("." in cell for cell in rest if to_number(cell) is not None)
+        begins = len(cells) == layout.n_columns > 1 and to_number(cells[0]) is not None
         marks = not re.search("[A-Za-z]", "".join(odd))
         beside = marks and len(rest) == measured + 1 > layout.n_columns  # a mark more
         digits, letters = (sum(map(kind, cells[0])) for kind in (str.isdigit, str.isalpha))
@@ -260,55 +249,37 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
         almost_all = number == first - 1 and 1 < layout.n_columns <= measured + 1 + stamped
         swallowed = almost_all and below_labels and measured > 1
         is_row = (begins or illegible) and (most or almost_all)
-        if is_row or swallowed or (stamped and 2 * measured >= size > 0):
+        if is_row or swallowed or (stamped and 2 * measured >= len(rest) > 0):
             raise not_a_number(where, next(iter(odd), cells[0]))
-        below_labels |= len(cells) == layout.n_columns and not numbers
-
-
-def _refuse_cut_last(lines: Lines, start: int, layout: Layout) -> None:
-    """Refuse a file that ends within a line, whose last number has fewer decimals than those above it."""
-    rows = lines.part(max(start, len(lines.raw) - 80 * SAMPLED)).split("\n")[-ENDS:]
-    decimals = [len(layout.cells(row)[-1].partition(".")[2]) for row in rows if row.strip()]
-    if rows[-1] and len(decimals) == ENDS and len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]:
-        raise ValueError(
-            f"{lines.file}: the last line must be whole, it ends in {rows[-1][-12:]!r} with fewer decimals "
-            "than the lines above it. Fetch the file again, or cut the line."
-        )
+        below_labels |= len(cells) == layout.n_columns and len(odd) == len(rest)
 
 
 def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[Label], bool, str | None]:
     """What stands above each column, whether it is more than a title, and the unit of all without labels."""
+
+    def is_of_units(cells: list[str]) -> bool:
+        known = all(unit_of(cell.strip("[]()")) or cell in NO_UNIT for cell in cells)
+        return cells[0] == "TS" or (any(cells) and known)
+
     named = [cells for _, line, _ in header if (cells := _named(line, layout))]
-    units = [
-        cells
-        for cells in named
-        if cells[0] == "TS"
-        or (any(cells) and all(unit_of(cell.strip("[]()")) or cell in NO_UNIT for cell in cells))
-    ]
-    texts = [
-        cells for cells in named if cells not in units and not any(to_number(c) is not None for c in cells)
-    ]
+    units = [cells for cells in named if is_of_units(cells)]
+    named = [cells for cells in named if cells not in units]
+    texts = [cells for cells in named if all(to_number(cell) is None for cell in cells)]
     if not texts:
-        found = (unit for _, line, _ in header for unit in BRACKETS.findall(line))
-        unit = next((unit.strip() for unit in found if known_factor(unit) is not None), None)
-        return [Label("", "")] * layout.n_columns, bool(units), unit
-    stated = [
-        next((cells[k].strip("[]()") for cells in units if cells[k] not in NO_UNIT), None)
-        for k in range(layout.n_columns)
-    ]
-    told = [sum(Label.of(text).role is not None for text in cells) for cells in texts]
-    chosen = texts[max(range(len(texts)), key=lambda k: (told[k], k))]
-    labels = [Label.of(text, unit) for text, unit in zip(chosen, stated, strict=True)]
-    for above in reversed(texts):  # a unit may stand in another line
-        labels = [
-            label if label.unit is not None else label._replace(unit=Label.of(text).unit)
-            for label, text in zip(labels, above, strict=True)
-        ]
-    told = any(label.unit is not None or label.role is not None for label in labels)
-    is_title = all(comment for _, line, comment in header if _named(line, layout) == chosen)
-    own = any(label.unit is not None for label in labels) or (
-        layout.separator != " " and (told or not is_title)
-    )
+        found = (unit.strip() for _, line, _ in header for unit in BRACKETS.findall(line))
+        known = (unit for unit in found if unit_of(unit) and unit_of(unit).quantity == "acceleration")
+        return [Label("", "")] * layout.n_columns, bool(units), next(known, None)
+    rows = [[Label.of(text) for text in cells] for cells in texts]
+    chosen = max(range(len(rows)), key=lambda k: (sum(label.role is not None for label in rows[k]), k))
+    labels = []
+    for k, text in enumerate(texts[chosen]):
+        stated = (cells[k].strip("[]()") for cells in units if cells[k] not in NO_UNIT)
+        elsewhere = (row[k].unit for row in reversed(rows) if row[k].unit is not None)
+        label = Label.of(text, next(stated, None))
+        labels.append(label if label.unit is not None else label._replace(unit=next(elsewhere, None)))
+    is_title = all(comment for _, line, comment in header if _named(line, layout) == texts[chosen])
+    told = any(label.role is not None for label in labels) or not is_title
+    own = any(label.unit is not None for label in labels) or (layout.separator != " " and told)
     return labels, own, None
 
 
@@ -322,21 +293,17 @@ def _named(line: str, layout: Layout) -> list[str] | None:
     return next((labels for labels in ways if len(labels) == layout.n_columns), None)
 
 
-# --- numbers ----------------------------------------------------------------------------------------
-
-
 def _rows(lines: Lines, first: int):
     """Number and text of the rows of numbers."""
     return ((number, line) for number, line in lines if number >= first and not line.startswith(COMMENTS))
 
 
-def _by_pandas(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndarray]:
+def _by_pandas(lines: Lines, start: int, first: str, layout: Layout) -> tuple[float, np.ndarray]:
     """Origin of the stamps and rows (row, column), all written as the first."""
     import pandas as pd  # half a second to import
 
     old = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
     kinds = {k: str if k in layout.stamp else np.float64 for k in range(layout.count)}
-    first = lines.part(start, start + FEW).partition("\n")[0].rstrip()
     plain = not layout.stamp and not first.endswith(layout.separator)  # no column of texts, nor an empty one
     stream = BytesIO(lines.raw)  # which is not copied
     stream.seek(start)
@@ -352,12 +319,11 @@ def _by_pandas(lines: Lines, start: int, layout: Layout) -> tuple[float, np.ndar
     )
     while frame.shape[1] > layout.count and layout.separator != " " and (frame.iloc[:, -1] == "").all():
         frame = frame.iloc[:, :-1]  # a separator at the end of each row
-    origin, texts = 0.0, frame.iloc[:, list(layout.stamp)]
+    origin = 0.0
     if layout.stamp:
-        joint = "," if layout.separator == "," and texts.iloc[0, -1].isdigit() else " "
-        stamps = [joint.join(row) for row in zip(*(texts[k] for k in texts), strict=True)]
-        origin, seconds = seconds_of(stamps, lines.file)
-        frame = frame.drop(columns=list(layout.stamp))
+        texts = [frame.pop(k) for k in layout.stamp]
+        joint = "," if layout.separator == "," and texts[-1][0].isdigit() else " "
+        origin, seconds = seconds_of([joint.join(row) for row in zip(*texts, strict=True)], lines.file)
         frame.insert(layout.stamp[0], "seconds", seconds)
     values = np.array([frame[k] for k in frame], dtype=np.float64).T  # columns whole
     if values.shape[1] != layout.n_columns or not np.isfinite(values).all():
@@ -377,7 +343,7 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
             cells += [""] * (layout.n_columns - len(cells))
         elif short is not None:
             raise ValueError(
-                f"{lines.file}, line {number}: only the last line of wrapped values may be shorter than the "
+                f"{where}: only the last line of wrapped values may be shorter than the "
                 f"first, which has {layout.n_columns}. Complete the line before this one."
             )
         for k, cell in enumerate(cells):
@@ -386,10 +352,8 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
                 values.append(0.0)
             elif (request.gaps or number == short) and cell.lower() in MISSING:
                 values.append(np.nan)
-            elif (value := to_number(cell)) is None or not -np.inf < value < np.inf:
-                raise not_a_number(where, cell)
             else:
-                values.append(value)
+                values.append(finite(cell, where))
         if len(cells) != layout.n_columns:
             raise ValueError(
                 f"{where}: rows must have {layout.n_columns} values like the first, got {len(cells)}. "
@@ -402,30 +366,23 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
     return origin, found
 
 
-def _resolution(lines: Lines, start: int, layout: Layout, index: int, largest: float) -> float:
-    """Resolution of a printed column, from decimals and significant digits of its first and last cells."""
-    last = max(start, len(lines.raw) - 80 * SAMPLED)
-    some = [*lines.part(start, start + 80 * SAMPLED).split("\n")[:-1], *lines.part(last).split("\n")[1:]]
-    some = some or [lines.part(start)]
+def _resolution(rows: list[str], layout: Layout, index: int, largest: float) -> float:
+    """Resolution of a printed column, from decimals and significant digits of some of its cells."""
+    cells = [layout.cells(row.strip())[index : index + 1] for row in rows]
+    cells = [cell for found in cells for cell in found]
+    if layout.stamp and index == layout.stamp[0]:
+        stamps = (STAMP.fullmatch(cell) for cell in cells)
+        return 10.0 ** min((1 - len(stamp["fraction"] or ".") for stamp in stamps if stamp), default=0)
     least, digits = 0, 1
-    for line in some:
-        cells = layout.cells(line.strip())
-        cell = cells[index] if index < len(cells) else "0"
-        if layout.stamp and index == layout.stamp[0]:
-            stamp = STAMP.fullmatch(cell)
-            cell = (stamp and stamp["fraction"] or ".").replace(",", ".")
-            least = min(least, 1 - len(cell))
-        elif to_number(cell) is not None:
+    for cell in cells:
+        if to_number(cell) is not None:
             mantissa, _, power = cell.lower().replace("d", "e").partition("e")
             whole, _, decimals = mantissa.lstrip("+-").partition(".")
             least = min(least, max(int(power or 0) - len(decimals), -300))
             digits = max(digits, len((whole + decimals).lstrip("0")))
-    if layout.stamp and index == layout.stamp[0] or largest == 0.0:
+    if largest == 0.0:
         return 10.0**least
     return max(10.0**least, 10.0 ** (np.floor(np.log10(largest)) - digits + 1))
-
-
-# --- time stamps ------------------------------------------------------------------------------------
 
 
 def seconds_of(texts: list[str], file: str) -> tuple[float, np.ndarray]:
@@ -444,29 +401,16 @@ def seconds_of(texts: list[str], file: str) -> tuple[float, np.ndarray]:
     if dates and not days:
         what = f"those of a calendar, all written alike, got {', '.join(dates[:3])}"
         raise ValueError(f"{file}: dates must be {what}. Correct them.")
-    origin = min(days.values(), default=0.0)
-    seconds = np.array([days.get(match["date"], origin) - origin + _of_day(match) for match in found])
+    origin, seconds = min(days.values(), default=0.0), []
+    for match in found:
+        date, hour, minute, second, fraction, half, zone = match.groups()
+        hour = int(hour) if not half else int(hour) % 12 + 12 * (half.strip().lower() == "pm")
+        of_day = 3600 * hour + 60 * int(minute) + int(second or 0)
+        if (zone := (zone or "Z").strip()) not in ("Z", "UTC", "GMT"):
+            of_day -= (60 * int(zone[1:3]) + int(zone[-2:])) * (60 if zone[0] == "+" else -60)
+        of_day += float((fraction or "0").replace(",", "."))
+        seconds.append(days.get(date, origin) - origin + of_day)
+    seconds = np.array(seconds)
     if not days:
         seconds[1:] += 86400.0 * np.cumsum(np.diff(seconds) < -43200.0)
     return origin, seconds
-
-
-def _of_day(match: re.Match) -> float:
-    """Seconds since midnight."""
-    _, hour, minute, second, fraction, half, zone = match.groups()
-    hour = int(hour)
-    if half:
-        hour = hour % 12 + (12 if half.strip().lower() == "pm" else 0)
-    seconds = 3600 * hour + 60 * int(minute) + int(second or 0)
-    if (zone := (zone or "Z").strip()) not in ("Z", "UTC", "GMT"):
-        seconds -= (60 * int(zone[1:3]) + int(zone[-2:])) * (60 if zone[0] == "+" else -60)
-    return seconds + float((fraction or "0").replace(",", "."))
-
-
-TEXT = Format(
-    "text",
-    lambda opening: True,
-    "any other",
-    "names and units of a header, step of a column of times; pass what is missing",
-    read_text,
-)

@@ -6,18 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import (
-    SAMPLING_INTERVAL,
-    check_positive,
-    is_number,
-    message,
-    shown,
-    single,
-    warn_caller,
-)
+from pymc_features._checks import SAMPLING_INTERVAL, check_positive, message, shown, warn_caller
 
-#: Acceleration of gravity [m/s^2] behind the unit "g". The reference results that records of this
-#: field are compared with use 9.81; who wants 9.80665 passes that number as `units`.
+#: Gravity [m/s^2] behind the unit "g", as reference results have it; who wants 9.80665 passes it as `units`.
 G = 9.81
 INCH, FOOT, POUND = 0.0254, 0.3048, 4.4482216152605  # m, m, N, exact
 
@@ -130,7 +121,7 @@ class Label(NamedTuple):
     @property
     def known(self) -> Unit | None:
         """The unit, if it is one that is known."""
-        return None if self.unit is None else unit_of(self.unit)
+        return unit_of(self.unit or "")
 
     @property
     def role(self) -> str | None:
@@ -141,11 +132,6 @@ class Label(NamedTuple):
     def seconds(self) -> float | None:
         """Seconds in the unit, if it is one of time."""
         return self.known.factor if self.known is not None and self.known.quantity == "time" else None
-
-    @property
-    def is_clock(self) -> bool:
-        """Whether this is the label of a clock: it says time, and states no unit of anything else."""
-        return self.role == "time" and (self.known is None or self.seconds is not None)
 
     @classmethod
     def of(cls, text: str, unit: str | None = None) -> "Label":
@@ -168,102 +154,87 @@ class Label(NamedTuple):
         return cls(text, name or text, unit or own)
 
 
-# --- units and steps: what a file states, what the caller says, and which one counts ------------------------
-
-
 def choices(quantity: str) -> str:
     """What `units` may be, as a message lists it."""
     names = ", ".join(f'"{name}"' for name in list(UNITS[quantity])[:7])
     return f"{names}, or a number in {SI.get(quantity, 's')} per file unit"
 
 
-def known_factor(unit: str) -> float | None:
-    """Acceleration [m/s^2] of one `unit`, or None where it is none of acceleration."""
-    found = unit_of(unit)
-    return found.factor if found is not None and found.quantity == "acceleration" else None
-
-
 def unit_factor(units, quantity: str = "acceleration", name: str = "units") -> float:
     """SI units in one file unit of a quantity, in any usual spelling, or the factor itself, positive."""
-    known = unit_of(units) if isinstance(units, str) else None
-    if known is not None and known.quantity == quantity:
-        return known.factor
-    if not is_number(single(units)):
-        error = ValueError if isinstance(units, str) else TypeError
-        raise error(message(name, f"one of {choices(quantity)}", shown(units)))
-    return check_positive(units, name, f"Pass the {SI.get(quantity, 's')} per file unit.")
+    if not isinstance(units, str):
+        return check_positive(units, name, f"Pass the {SI.get(quantity, 's')} per file unit.")
+    known = unit_of(units)
+    if known is None or known.quantity != quantity:
+        raise ValueError(message(name, f"one of {choices(quantity)}", shown(units)))
+    return known.factor
 
 
 def sensitivity_of(sensitivity, quantity: str) -> float:
     """Volts in one SI unit of a quantity, of a number or a text such as "100 mV/g"."""
-    if is_number(single(sensitivity)):
+    if not isinstance(sensitivity, str):
         return check_positive(sensitivity, "sensitivity", f"Pass the V per {SI[quantity]}.")
-    found = _SENSITIVITY.fullmatch(sensitivity) if isinstance(sensitivity, str) else None
-    voltage, unit = (None, None) if found is None else (unit_of(found[2]), unit_of(found[3]))
-    kinds = [one and one.quantity for one in (voltage, unit)]
-    number = 0.0 if found is None else float(found[1])
-    if number <= 0.0 or kinds != ["voltage", quantity]:
-        what = f'V per {SI[quantity]}, or a text such as "100 mV/{next(iter(UNITS[quantity]))}"'
-        raise ValueError(message("sensitivity", what, shown(sensitivity)))
-    return number * voltage.factor / unit.factor
+    if found := _SENSITIVITY.fullmatch(sensitivity):
+        number, voltage, unit = float(found[1]), unit_of(found[2]), unit_of(found[3])
+        if number > 0.0 and voltage and unit and (voltage.quantity, unit.quantity) == ("voltage", quantity):
+            return number * voltage.factor / unit.factor
+    what = f'V per {SI[quantity]}, or a text such as "100 mV/{next(iter(UNITS[quantity]))}"'
+    raise ValueError(message("sensitivity", what, shown(sensitivity)))
 
 
 def system_of_units(text: str) -> tuple[float, float, float]:
     """SI units in the force, length and mass of a system of units, "kN, m, t", in any order."""
-    what = 'a force, a length and a mass, such as "kN, m, t"'
     words = [word.strip() for word in text.split(",")] if isinstance(text, str) else []
-    found = {}
-    for word in words:
-        unit = Unit("mass", MASSES[word]) if word in MASSES else unit_of(word)
-        if unit is not None:
-            found["length" if unit.quantity == "displacement" else unit.quantity] = unit.factor
-    if set(found) != {"force", "length", "mass"} or len(words) != 3:
+    units = [Unit("mass", MASSES[word]) if word in MASSES else unit_of(word) for word in words]
+    found = {unit.quantity: unit.factor for unit in units if unit is not None}
+    if set(found) != {"force", "displacement", "mass"} or len(words) != 3:
+        what = 'a force, a length and a mass, such as "kN, m, t"'
         raise ValueError(message("units", what, shown(text)))
-    return found["force"], found["length"], found["mass"]
+    return found["force"], found["displacement"], found["mass"]
 
 
-def resolve_units(units, stated: str | None, source: str, quantity: str = "acceleration") -> float:
-    """Factor [SI per file unit] by the file, or by the argument where the file does not say it."""
-    known = None if stated is None else unit_of(stated)
-    if known is not None and known.quantity != quantity:
-        advice = f"Pass the columns that are {PLURALS[quantity]}."
+def resolve_units(channel, request, source: str) -> float:
+    """SI units in one unit of a channel, by its file, or by the request where that does not say it."""
+    quantity, units, stated = request.quantity, request.units, channel.unit
+    said, by = channel.quantity, "data set"
+    known, voltage = unit_of(stated or ""), request.sensitivity is not None
+    if said is None and stated is None and not voltage and role_of(channel.name) in MEASURED:
+        said, by = role_of(channel.name), "label"
+    if said not in (None, quantity):
+        what = f"the {by} {channel.name!r} says {said}. Pass the columns that are, or rename it."
+        raise ValueError(f"{source} must hold {PLURALS[quantity]}, {what}")
+    measured = "voltage" if voltage else quantity
+    if known is not None and known.quantity != measured:
+        advice = f"Pass the columns that are {PLURALS[measured]}."
         if known.quantity == "voltage":
             advice = f'Pass `sensitivity`, such as "100 mV/({next(iter(UNITS[quantity]))})".'
         beside = "" if units is None else f", beside units={shown(units)}"
-        raise ValueError(
-            f"{source} must hold {PLURALS[quantity]}, it states {stated!r}, a unit of "
-            f"{known.quantity}{beside}. {advice}"
-        )
-    if units is None:
-        if known is None:
-            said = "does not state them" if stated is None else f"states {stated!r}, which is no known unit"
-            raise ValueError(f"`units` must be given, {source} {said}. Pass one of {choices(quantity)}.")
-        return known.factor
-    factor = unit_factor(units, quantity)
+        what = f"it states {stated!r}, a unit of {known.quantity}{beside}. {advice}"
+        raise ValueError(f"{source} must hold {PLURALS[measured]}, {what}")
+    if units is None and known is None:
+        said = "does not state them" if stated is None else f"states {stated!r}, which is no known unit"
+        raise ValueError(f"`units` must be given, {source} {said}. Pass one of {choices(measured)}.")
+    factor = known.factor if units is None else unit_factor(units, measured)
     if known is not None and not np.isclose(factor, known.factor, rtol=0.01, atol=0.0):  # 9.80665 is one g
-        raise ValueError(
-            f"`units` must be those of the file, {source} states {stated!r}, got {shown(units)}. Leave "
-            "`units` out, or correct the file."
-        )
+        what = f"got {shown(units)}. Leave `units` out, or correct the file."
+        raise ValueError(f"`units` must be those of the file, {source} states {stated!r}, {what}")
     if known is None and stated is not None:
         warn_caller(f"{source} states the units {stated!r}; the argument units={units!r} is used.")
-    return factor
+    return factor / sensitivity_of(request.sensitivity, quantity) if voltage else factor
 
 
-def resolve_dt(dt: float | None, stated: float | None, source: str) -> float:
-    """Sampling interval [s]: the argument wins, the file's statement is the fallback."""
-    stated = stated if stated is not None and stated > 0.0 else None  # headers with a step of 0 state none
-    if dt is None:
-        if stated is None:
-            raise ValueError(
-                f"`dt` must be given, {source} does not state the time step. {SAMPLING_INTERVAL}"
-            )
-        if stated >= 1.0:  # a counter or milliseconds, silently 1000 times too slow
-            raise ValueError(
-                f"`dt` must be given, {source} states a time step of {stated:g}, too long for "
-                f"seconds. {SAMPLING_INTERVAL}"
-            )
-        return stated
-    if stated is not None and not np.isclose(dt, stated, rtol=1e-3, atol=0.0):
+def resolve_dt(channel, request, source: str) -> float:
+    """Sampling interval [s] that the caller says, or else the file."""
+    dt, stated = request.dt, channel.dt if (channel.dt or 0.0) > 0.0 else None  # a step of 0 states none
+    if dt is None and (stated is None or stated >= 1.0):
+        said, more = f"{source} does not state the time step", ""
+        if channel.times is not None:
+            apart = float(np.diff(channel.times).mean())
+            said = f"the times of {source} ({channel.name}) are uneven, {apart:.3g} s apart on average"
+            more = " The values are joined by straight lines and read off at this step."
+        elif stated is not None:  # a counter or milliseconds, 1000 times too slow
+            said = f"{source} states a time step of {stated:g}, too long for seconds"
+        raise ValueError(f"`dt` must be given, {said}. {SAMPLING_INTERVAL}{more}")
+    if dt is not None and stated is not None and not np.isclose(dt, stated, rtol=1e-3, atol=0.0):
         warn_caller(f"{source} states a time step of {stated:g} s; the argument dt={dt:g} s is used.")
-    return dt
+    return stated if dt is None else dt

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from io import BytesIO
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -27,14 +26,6 @@ SAMPLE = 400  # bytes that tell the encoding
 RARE, FEWEST_LINES = 0.02, 8  # of lines of another width than the others, and how many tell the width
 
 
-def _utf_16(raw: bytes) -> str | None:
-    """The codec of a text in UTF-16, by its mark, or by the zeros in every other byte; None of another."""
-    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    ways = ("utf-16-be", raw[:SAMPLE:2], raw[1:SAMPLE:2]), ("utf-16-le", raw[1:SAMPLE:2], raw[:SAMPLE:2])
-    return next((name for name, high, low in ways if len(high) > 1 and not any(high) and all(low)), None)
-
-
 def most_bytes(path: Path) -> int:
     """What the arrays of a file may take: twenty times its size, and 64 MiB of small ones."""
     return max(TIMES * path.stat().st_size, ALWAYS)
@@ -43,22 +34,24 @@ def most_bytes(path: Path) -> int:
 def check_size(path: Path, n_bytes: Iterable[int]) -> None:
     """Refuse arrays of more bytes than those of a file may take."""
     if (promised := sum(map(int, n_bytes))) > most_bytes(path):
-        raise ValueError(
-            f"{path.name} must not hold arrays of more than {TIMES} times its size and "
-            f"{ALWAYS // 2**20} MiB, got {promised:.3g} bytes. Is it damaged? If not, save it uncompressed."
-        )
+        most = f"{TIMES} times its size and {ALWAYS // 2**20} MiB"
+        said = f"got {promised:.3g} bytes. Is it damaged? If not, save it uncompressed."
+        raise ValueError(f"{path.name} must not hold arrays of more than {most}, {said}")
 
 
 def decoded(raw: bytes) -> str:
-    """Text of a file in UTF-8, UTF-16 or Latin-1 with any line ends (LF, CR LF, CR CR LF, CR)."""
-    try:
-        name = _utf_16(raw)
-        text = raw.decode(name, errors="replace") if name else raw.removeprefix(codecs.BOM_UTF8).decode()
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    if "\r" in text:
-        text = text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
-    return text
+    """Text of a file in UTF-8, UTF-16 (with its mark or not) or Latin-1, line feeds for any line ends."""
+    even, odd = raw[:SAMPLE:2], raw[1:SAMPLE:2]
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        text = raw.decode("utf-16", errors="replace")
+    elif len(odd) > 1 and any(even) != any(odd) and (all(even) or all(odd)):
+        text = raw.decode("utf-16-le" if any(even) else "utf-16-be", errors="replace")
+    else:
+        try:
+            text = raw.removeprefix(codecs.BOM_UTF8).decode()
+        except UnicodeDecodeError:
+            text = raw.decode("latin-1")
+    return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
 class Lines:
@@ -66,32 +59,19 @@ class Lines:
 
     def __init__(self, path: Path, format_name: str = ""):
         raw = path.read_bytes()
-        zeros = b"\0" in raw
-        if zeros and not _utf_16(raw):
+        plain = raw.isascii() and b"\r" not in raw and b"\0" not in raw
+        self.raw = raw if plain else decoded(raw).encode(errors="replace")  # UTF-8 with line feeds
+        if b"\0" in self.raw:
             raise ValueError(f"{path.name} must be a text file, it holds binary data. Export it as CSV.")
         self.file, self.stem = path.name, path.stem
         self.title = f"{path.name} ({format_name})" if format_name else path.name
         self.number, self.last = 0, ""  # of the line that was taken last, and what it says
-        plain = not zeros and raw.isascii() and b"\r" not in raw
-        self.raw = raw if plain else decoded(raw).encode(errors="replace")  # UTF-8 with line feeds
-
-    @property
-    def text(self) -> str:
-        """All of it."""
-        return self.raw.decode()
-
-    def part(self, start: int, stop: int | None = None) -> str:
-        """The text from one place to another, in bytes."""
-        return self.raw[start:stop].decode(errors="ignore")
-
-    def at(self, number: int) -> int:
-        """The place of a line in the text."""
-        return sum(map(len, islice(BytesIO(self.raw), number - 1)))
+        self.announced, self.event = "", None  # which numbers were read last; what the recording is called
 
     @cached_property
     def whole(self) -> list[str]:
         """All lines, as they are."""
-        return self.text.removesuffix("\n").split("\n")
+        return self.raw.decode().removesuffix("\n").split("\n")
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
         """Number, from 1, and text of every line that is not blank, without blanks around it."""
@@ -100,19 +80,24 @@ class Lines:
                 yield number, line
 
     def peek(self) -> str | None:
-        """The next line that is not blank, None at the end of the file; it is not taken."""
-        below = (self.whole[k] for k in range(self.number, len(self.whole)))
-        return next((line for line in below if line.strip()), None)
+        """The next line that is not blank, None at the end of the file; blank ones before it are passed."""
+        while self.number < len(self.whole):
+            if (line := self.whole[self.number]).strip():
+                return line
+            self.number += 1
+        return None
 
     def take(self, what: str) -> str:
         """The next line, blank or not; `what` it should be, for the message at the end of the file."""
         if self.number >= len(self.whole):
-            raise ValueError(
-                f"{self.title} must hold {what}, it ends at line {self.number}. Fetch the file again."
-            )
+            raise ValueError(f"{self.title} must hold {what}, it ends at line {self.number}. Fetch it again.")
         self.last = self.whole[self.number]
         self.number += 1
         return self.last
+
+    def several(self, count: int, what: str) -> list[str]:
+        """The next lines, as many as `what` says."""
+        return [self.take(f"{count} {what}") for _ in range(count)]
 
     def where(self) -> str:
         """How a message calls the line that was taken last."""
@@ -123,20 +108,11 @@ class Lines:
         got = repr(self.last.strip()[:80]) if got is None else got
         return ValueError(f"{self.where()}: {condition}, got {got}. {advice}")
 
-    def fields(self, count: int, width: int, what: str) -> np.ndarray:
-        """Numbers (count,) at the right ends of columns of `width` characters, on as many lines as it takes.
-
-        Neighbours may touch, as Fortran writes them. Only the last line may be shorter than the first.
-        """
-        return self.words(count, what, width=width)
-
-    def words(
-        self, count: int, what: str, whole: bool = False, per_line: int = 0, width: int = 0
-    ) -> np.ndarray:
-        """Numbers (count,) between blanks, or in columns, from as many lines as it takes; `whole`: counts."""
-        values, wanted = array("d"), f"{count // (per_line or 1)} {what}"
+    def numbers(self, count: int, what: str, width=0, *, whole=False, per_line=0) -> np.ndarray:
+        """Numbers (count,) from as many lines as it takes, between blanks or in columns, which may touch."""
+        values, self.announced = array("d"), f"{count // (per_line or 1)} {what}"
         while len(values) < count:
-            line = self.take(wanted).rstrip()
+            line, where = self.take(self.announced).rstrip(), self.where()
             tokens = line.split()
             if width:
                 tokens = [line[start : start + width].lstrip() for start in range(0, len(line), width)]
@@ -148,12 +124,9 @@ class Lines:
             if per_line and not last and (len(tokens) % per_line if width else len(tokens) != per_line):
                 raise self.error(f"lines must hold {per_line} values", len(tokens))
             for token in tokens:
-                number = to_number(token)
                 if whole and not _WHOLE.fullmatch(token):
                     raise self.error("values must be counts, whole numbers", repr(token[:60]))
-                if number is None or not -np.inf < number < np.inf:
-                    raise not_a_number(self.where(), token)
-                values.append(number)
+                values.append(finite(token, where))
         if len(values) != count:
             raise self.error(f"the file must hold the {count} {what} that it announces", len(values))
         return np.array(values)
@@ -167,25 +140,18 @@ def column_width(text: str, otherwise: int) -> int:
 
 def warn_of_widths(title: str, lines: Iterable[tuple[int, str]]) -> None:
     """Tell of a line of numbers in columns whose length, or plus sign, few others have."""
-    numbers, lengths, plus = array("q"), array("q"), array("q")
-    for number, line in lines:
-        numbers.append(number)
-        lengths.append(len(line.rstrip()))
-        plus.append(_PLUS.search(line) is not None)
-    few = max(1, RARE * len(numbers))
-    if len(numbers) <= FEWEST_LINES:
+    found = [(number, len(line.rstrip()), _PLUS.search(line) is not None) for number, line in lines]
+    if len(found) <= FEWEST_LINES:
         return
-    usual = np.bincount(np.array(lengths)[:-1]).argmax()
-    odd = np.flatnonzero(np.array(lengths)[:-1] != usual)
-    if 0 < odd.size <= few:
-        warn_caller(
-            f"{title}, line {numbers[odd[0]]}: numbers must fill their columns, the line has "
-            f"{lengths[odd[0]]} characters, others {usual}. Is a digit or a sign lost?"
-        )
-    elif 0 < sum(plus) <= few:
-        warn_caller(
-            f"{title}, line {numbers[plus.index(1)]}: a number has a plus sign, others have none. Is it one?"
-        )
+    numbers, lengths, plus = np.array(found).T
+    usual, few = np.bincount(lengths[:-1]).argmax(), max(1, RARE * len(found))
+    odd = lengths[:-1] != usual
+    if 0 < odd.sum() <= few:
+        said = f"the line has {lengths[odd.argmax()]} characters, others {usual}. Is a digit or a sign lost?"
+        warn_caller(f"{title}, line {numbers[odd.argmax()]}: numbers must fill their columns, {said}")
+    elif 0 < plus.sum() <= few:
+        number = numbers[plus.argmax()]
+        warn_caller(f"{title}, line {number}: a number has a plus sign, others have none. Is it one?")
 
 
 def to_number(token: str) -> float | None:
@@ -202,6 +168,14 @@ def to_count(token: str) -> int | None:
     return int(token) if token.isascii() and token.isdigit() and len(token) <= 12 else None
 
 
+def finite(token: str, where: str) -> float:
+    """Value of a finite number; `where` is how a message calls its place."""
+    number = to_number(token)
+    if number is None or not -np.inf < number < np.inf:
+        raise not_a_number(where, token)
+    return number
+
+
 def not_a_number(where: str, token: str) -> ValueError:
     """The error for a token that is no finite number."""
     shown = token if len(token) <= 60 else f"{token[:60]}..."
@@ -210,9 +184,7 @@ def not_a_number(where: str, token: str) -> ValueError:
 
 
 @contextmanager
-def by_library(
-    name: str, extra: str, path: Path, kind: str, again: str = "Fetch it again."
-) -> Iterator[None]:
+def by_library(name: str, extra: str, path: Path, kind: str, again="Fetch it again.") -> Iterator[None]:
     """The errors of a library in our words: that it is not installed, or cannot read a file."""
     try:
         yield

@@ -3,6 +3,7 @@
 Every reader makes a `Recording`; which of its channels, in which units and on which clock is decided here.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,17 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown, warn_caller
-from pymc_features.io.reading.clock import Clock, at_samples, check_increasing, even_clock
-from pymc_features.io.reading.labels import (
-    MEASURED,
-    NO_HISTORY,
-    PLURALS,
-    Label,
-    resolve_dt,
-    resolve_units,
-    role_of,
-    sensitivity_of,
-)
+from pymc_features.io.reading.labels import NO_HISTORY, Label, resolve_dt, resolve_units
 from pymc_features.io.reading.lines import decoded
 
 OPENING = 16_384  # bytes
@@ -33,16 +24,19 @@ FEWEST = 10  # values among which one can be told
 class Request(NamedTuple):
     """What the caller says about every file; None leaves it to the file."""
 
-    columns: list | None = None
-    units: str | float | None = None
     dt: float | None = None
     clock: str | int | bool | None = None  # False: no clock
     clock_units: float | None = None  # [s] per count
     skip: int = 0
     wrapped: bool | None = None  # whether one series runs along the lines of a text file
     gaps: bool = False  # whether samples may be missing: NaN, empty cells, rows that a clock passes over
+    columns: list | None = None
+    units: str | float | None = None
     quantity: str = "acceleration"
     sensitivity: str | float | None = None
+    scale: float = 1.0
+    delay: float | None = None  # how late it comes [s]
+    anchors: list | None = None  # two pairs of a reading of the clock and the true time [s]
 
 
 @dataclass(frozen=True)
@@ -63,6 +57,13 @@ class Opening:
         """The first lines, without blanks at their ends; none if the file is no text."""
         text = decoded(self.head)
         return [] if "\0" in text else [line.rstrip() for line in text.split("\n")]
+
+    def begins(self, how: "bytes | str | Callable[[Opening], bool]") -> bool:
+        """Whether a pattern of bytes, one of the suffix or of lines in lower case, or a function says so."""
+        if callable(how):
+            return how(self)
+        texts = [self.head] if isinstance(how, bytes) else [self.suffix, "\n".join(self.lines[:30]).lower()]
+        return any(re.match(how, text) for text in texts)
 
 
 class Channel(NamedTuple):
@@ -92,29 +93,37 @@ class Recording(NamedTuple):
 
 
 class Format(NamedTuple):
-    """A kind of files: what it is called, how it is recognised, what it states, how it is read."""
+    """A kind of files."""
 
-    name: str  # in messages and in the table of formats
-    recognises: Callable[[Opening], bool]
-    files: str  # usual endings of file names, for the table of formats
-    states: str  # what its files say themselves, for the table of formats
+    name: str
+    files: str  # usual endings of file names
+    states: str  # what its files say themselves
+    begins: bytes | str | Callable[[Opening], bool]  # see `Opening`
     read: Callable[[Path, Request], Recording]  # its errors have the name of the file
 
 
 def chosen(recording: Recording, columns: list | None, argument: str = "columns") -> list[Channel]:
-    """The channels that the caller names by index or name, or all that are measurements."""
-    channels = recording.channels
+    """The channels, or all rows of a variable, that the caller names; by default all measurements."""
+    channels, hint = recording.channels, "Pass the index (from 0) or the name of one."
+    of = f"of {recording.file} ({named(channels)})"
     if recording.question and not (columns and all(isinstance(column, str) for column in columns)):
         raise ValueError(recording.question)
-    if columns is None:
-        found = [channel for channel in channels if not channel.hidden]
-    else:
-        found = [channel for column in columns for channel in _find(recording, column, argument)]
+    found = [channel for channel in channels if not channel.hidden] if columns is None else []
+    for column in columns or ():
+        if isinstance(column, str):
+            word = column.strip()
+            matches = [c for c in channels if word in (c.name, c.label)]
+            matches = matches or [c for c in channels if word.lower() in (c.name.lower(), c.label.lower())]
+            rows = len({c.label for c in matches}) == 1 and matches[0].label != matches[0].name
+            if rows:  # of a variable, without its clock
+                matches = [channel for channel in matches if not channel.hidden] or matches
+        else:
+            matches, rows = list(channels[column : column + 1]) if column >= 0 else [], False
+        if len(matches) != 1 and not rows:
+            raise ValueError(f"`{argument}` must be one of the channels {of}, got {shown(column)}. {hint}")
+        found += matches
     if not found:
-        raise ValueError(
-            f"`{argument}` must name a channel of {recording.file} ({named(channels)}), none is a "
-            "measurement by its label. Pass the index (from 0) or the name of one."
-        )
+        raise ValueError(f"`{argument}` must name a channel {of}, none is a measurement by its label. {hint}")
     return found
 
 
@@ -123,60 +132,21 @@ def named(channels: Sequence[Channel]) -> str:
     return listed([f"{c.name} [{c.unit}]" if c.unit else c.name for c in channels])
 
 
-def _find(recording: Recording, column, argument: str) -> list[Channel]:
-    """A channel by its index, or by its name or label; all rows of a variable by its name."""
-    channels = recording.channels
-    if isinstance(column, str):
-        exact = [c for c in channels if column.strip() in (c.name, c.label)]
-        wanted = column.strip().lower()
-        matches = exact or [c for c in channels if wanted in (c.name.lower(), c.label.lower())]
-        rows = len({channel.label for channel in matches}) == 1 and matches[0].label != matches[0].name
-        if rows:  # of a variable, without its clock
-            matches = [channel for channel in matches if not channel.hidden] or matches
-    else:
-        matches, rows = list(channels[column : column + 1]) if column >= 0 else [], False
-    if not matches or (len(matches) > 1 and not rows):
-        raise ValueError(
-            f"`{argument}` must be one of the channels of {recording.file} ({named(channels)}), got "
-            f"{shown(column)}. Pass the index (from 0) or the name of one."
-        )
-    return matches
-
-
-def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.ndarray, Clock]:
-    """History (time,) of a channel in SI units at an even step, and its clock."""
+def in_si(channel: Channel, request: Request, recording: Recording) -> Channel:
+    """A channel in SI units at an even step, which messages call by its file."""
     if channel.problem:
         raise ValueError(channel.problem)
-    file, skip, quantity = recording.file, 0 if recording.skipped else request.skip, request.quantity
-    stated, voltage, said, by = channel.dt, request.sensitivity is not None, channel.quantity, "data set"
-    if said is None and channel.unit is None and not voltage and role_of(channel.name) in MEASURED:
-        said, by = role_of(channel.name), "label"
-    if said not in (None, quantity):
-        raise ValueError(
-            f"{file} must hold {PLURALS[quantity]}, the {by} {channel.name!r} says {said}. Pass the columns "
-            "that are, or rename it."
-        )
-    if channel.times is not None:
-        stated = request.dt
-        if stated is None:
-            raise ValueError(
-                f"`dt` must be given, the times of {file} ({channel.name}) are uneven, "
-                f"{float(np.diff(channel.times).mean()):.3g} s apart on average. {SAMPLING_INTERVAL} The "
-                "values are joined by straight lines and read off at this step."
-            )
-    dt = resolve_dt(request.dt, stated, file)
-    factor = resolve_units(request.units, channel.unit, file, "voltage" if voltage else quantity)
-    if voltage:
-        factor /= sensitivity_of(request.sensitivity, quantity)
+    file, skip = recording.file, 0 if recording.skipped else request.skip
+    dt = resolve_dt(channel, request, file)
+    factor = resolve_units(channel, request, file)
     values = (channel.values if channel.times is None else _interpolated(channel, dt, file))[skip:]
     sizes = np.abs(values)
     largest = np.nanmax(sizes, initial=0.0)
     if (missing := np.isinf(values) if request.gaps else ~np.isfinite(values)).any():
-        raise ValueError(
-            f"{file}, {channel.name}: no samples may be missing, {missing.sum()} are, the first after "
-            f"{dt * missing.argmax():.6g} s ({values[missing.argmax()]}). Cut the file to one side, or use "
-            "`io.read_channels_with_gaps`."
-        )
+        at = missing.argmax()
+        said = f"{missing.sum()} are, the first after {dt * at:.6g} s ({values[at]})"
+        advice = "Cut the file to one side, or use `io.read_channels_with_gaps`."
+        raise ValueError(f"{file}, {channel.name}: no samples may be missing, {said}. {advice}")
     if values.size < 2:
         raise ValueError(f"{file}, {channel.name}: at least 2 samples must be there, got {values.size}.")
     # a number of quite another size has a digit too many or too few in its exponent
@@ -184,21 +154,63 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> tuple[np.
     alone = np.count_nonzero(sizes >= largest / ALONE) == 1
     odd = largest if alone else least if least < TINY * largest else 0.0
     if odd and np.count_nonzero(sizes > 0.0) >= FEWEST:
-        warn_caller(
-            f"{file}, {channel.name}: a value of {odd:.4g} is of another size than others. Is its exponent "
-            "spoilt?"
-        )
+        what = f"a value of {odd:.4g} is of another size than others. Is its exponent spoilt?"
+        warn_caller(f"{file}, {channel.name}: {what}")
     start = None if channel.start is None or request.clock is False else channel.start + skip * dt
-    values = values if factor == 1.0 else factor * values
-    return values, Clock(file, values.size, dt, start, channel.quantum)
+    return channel._replace(name=file, values=factor * values, dt=dt, start=start, quantity=request.quantity)
+
+
+def even_clock(
+    times: np.ndarray, where: Callable, quantum: float = 0.0, gaps: bool = False, dt: float | None = None
+) -> tuple[float | None, np.ndarray]:
+    """Sampling interval [s] of a clock (time,), None if it is uneven and the caller's; numbers of samples."""
+    steps = np.diff(times)
+    if not (steps > 0.0).all():
+        row = int(np.argmin(steps > 0.0)) + 1
+        raise ValueError(
+            f"{where(row)}: time must increase, it goes from {times[row - 1]:.10g} s to {times[row]:.10g} s. "
+            "Cut the file there; if this is no time, name the column with the times by `clock`, or the "
+            "acceleration by `column` and pass `dt`."
+        )
+    long = 1.5 * (steps.min() if steps.max() < 1.5 * steps.min() else np.median(steps))
+    usual = float(steps[steps < long].mean())  # of printed times no step is exact
+    missing = np.rint(steps / usual)
+    off, slack = np.abs(steps - missing * usual), 0.1 * usual + 2.0 * quantum
+    whole = (off <= 0.1 * usual).all() or (slack < 0.4 * usual and (off <= slack * missing).all())
+    numbers = np.arange(times.size)
+    if (missing > 1.0).any() and whole:
+        row = int(np.argmax(missing > 1.0)) + 1
+        if not gaps or missing.sum() >= 2.0 * times.size:
+            raise ValueError(
+                f"{where(row)}: no samples may be missing, {int((missing - 1.0).sum())} are, in "
+                f"{int((missing > 1.0).sum())} gap(s), the first from {times[row - 1]:.10g} s to "
+                f"{times[row]:.10g} s at a step of {usual:.4g} s. Cut the file to one side, or fill the gap."
+            )
+        numbers = np.append(0, np.cumsum(missing.astype(np.int64)))
+    mean = (times[-1] - times[0]) / numbers[-1]
+    # rounding cannot make steps uneven that are multiples of the resolution, `quantum` [s]
+    tolerance = 1e-3 * mean + 4.0 * np.spacing(np.abs(times).max())
+    multiple = quantum > 0.0 and abs(mean / quantum - round(mean / quantum)) < 1e-6
+    if quantum <= mean / 4.0 and not multiple:
+        tolerance += quantum
+    if np.abs(times - times[0] - mean * numbers).max() > tolerance:
+        row = int(np.argmax(np.abs(steps - np.median(steps)))) + 1
+        text = f"from {steps.min():.4g} s to {steps.max():.4g} s."
+        text = f"{where(row)}: time steps must be even, they vary {text}"
+        if dt is None:
+            raise ValueError(f"{text} Resample the record first.")
+        warn_caller(f"{text} The argument dt={dt:g} s is used.")
+        return None, numbers
+    return float(f"{mean:.10g}"), numbers
 
 
 def even_or_times(times: np.ndarray, quantum: float, where: Callable[[int], str]) -> dict:
     """The arguments `dt` or `times` of a `Channel` with printed times [s], of resolution `quantum` [s]."""
-    check_increasing(times, where)
     try:
         return {"dt": even_clock(times, where, quantum)[0]}
     except ValueError:
+        if not (np.diff(times) > 0.0).all():
+            raise
         return {"times": times}
 
 
@@ -242,20 +254,24 @@ def recording_of(columns: Columns, request: Request, question: str = "") -> Reco
     """The channels of a table on its clock; the clock and numbers of samples are hidden among them."""
     timer = clock_column(columns, request.clock)
     place, numbers = _clock(columns, timer, request)
-    channels = []
-    for index, label in enumerate(columns.labels):
-        problem = "" if index != timer else f"`columns` must name measurements, column {index} is the clock."
-        channels.append(
-            Channel(
-                label.name or f"column {index}",
-                at_samples(columns.values[:, index], numbers),
-                label.unit or columns.units,
-                **place,
-                label=label.text,
-                hidden=index == timer or label.is_clock or (label.role == "number" and label.unit is None),
-                problem=problem,
-            )
+    values, problem = columns.values.T, f"`columns` must name measurements, column {timer} is the clock."
+    if values.shape[1] <= numbers[-1]:
+        values = np.full((len(values), numbers[-1] + 1), np.nan)
+        values[:, numbers] = columns.values.T
+    channels = [
+        Channel(
+            label.name or f"column {index}",
+            row,
+            label.unit or columns.units,
+            **place,
+            label=label.text,
+            hidden=index == timer
+            or (label.role == "number" and label.unit is None)
+            or (label.role == "time" and (label.known is None or label.seconds is not None)),
+            problem=problem if index == timer else "",
         )
+        for index, (label, row) in enumerate(zip(columns.labels, values, strict=True))
+    ]
     return Recording(columns.file, channels, question=question, skipped=True)
 
 
@@ -269,10 +285,8 @@ def clock_column(columns: Columns, clock) -> int | None:
         matches = {k for k, label in enumerate(columns.labels) if asked in (k, label.text, label.name)}
         if len(matches) != 1:
             known = listed(texts) if any(texts) else f"0 to {len(texts) - 1}"
-            raise ValueError(
-                f"`clock` must be one of the columns of {columns.file} ({known}), got {shown(clock)}. Pass "
-                "the index (from 0) or the header name of the times."
-            )
+            said = f"got {shown(clock)}. Pass the index (from 0) or the header name of the times."
+            raise ValueError(f"`clock` must be one of the columns of {columns.file} ({known}), {said}")
         return matches.pop()
     if columns.stamp is not None:
         return columns.stamp
@@ -289,10 +303,9 @@ def clock_column(columns: Columns, clock) -> int | None:
     open_ = is_time or not columns.own or first.role in (None, "number")
     forward = len(columns.labels) > 1 and open_ and (np.diff(columns.values[:, 0]) > 0.0).mean() > 0.9
     if forward and first.text and first.role is None and not is_time and columns.own:
-        raise ValueError(
-            f"`clock` must be given, {columns.file} does not say whether {first.text!r}, which runs forward, "
-            "is the time. Call it time, or pass clock=False with `dt` and `columns`."
-        )
+        said = f"does not say whether {first.text!r}, which runs forward, is the time"
+        advice = "Call it time, or pass clock=False with `dt` and `columns`."
+        raise ValueError(f"`clock` must be given, {columns.file} {said}. {advice}")
     return 0 if forward else None
 
 
@@ -303,23 +316,19 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
         return {"dt": columns.dt}, numbers
     readings, label, asked = columns.values[:, timer], columns.labels[timer], request.clock_units
     if not (known := np.isfinite(readings)).all():
-        raise ValueError(
-            f"{columns.where(int(known.argmin()), timer)}: the clock must have a time in every row, got "
-            "none. Cut the row."
-        )
-    known = 1.0 if timer == columns.stamp else label.seconds
+        where = columns.where(int(known.argmin()), timer)
+        raise ValueError(f"{where}: the clock must have a time in every row, got none. Cut the row.")
+    stated = 1.0 if timer == columns.stamp else label.seconds
     if asked is not None and label.known is not None and not np.isclose(label.known.factor, asked, rtol=1e-6):
-        raise ValueError(
-            f"`clock_units` must be those of the file, {file} states {label.text!r}, got {asked:g} s. Leave "
-            "it out, or correct the file."
-        )
-    if asked is None and label.unit is not None and not known:
+        said = f"got {asked:g} s. Leave it out, or correct the file."
+        raise ValueError(f"`clock_units` must be those of the file, {file} states {label.text!r}, {said}")
+    if asked is None and label.unit is not None and not stated:
         raise ValueError(
             f"`clock_units` must be given, {file} states {label.unit!r} of its clock, which is no known unit "
             'of time. Pass "s", "ms", "us" or the seconds per count.'
         )
-    stated = asked or known or COUNTERS.get(label.name.lower())
-    scale = 1.0 if stated is None else stated
+    stated = asked or stated or COUNTERS.get(label.name.lower())
+    scale = stated or 1.0
     for index, other in enumerate(columns.labels):  # each channel may have times of its own
         if request.clock is None and index != timer and other.role == "time" and other.seconds is not None:
             times = other.seconds * columns.values[:, index]
@@ -330,9 +339,8 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
                     "Read the channels of each clock by themselves, by `clock` and `columns`."
                 )
     quantum = scale * columns.resolution(timer)
-    step, numbers = even_clock(
-        scale * readings, lambda row: columns.where(row, timer), quantum, request.gaps, request.dt
-    )
+    times = scale * readings
+    step, numbers = even_clock(times, lambda k: columns.where(k, timer), quantum, request.gaps, request.dt)
     if step is None:
         return {"dt": None}, numbers
     if step >= 1.0 and stated is None:  # a counter, or other units

@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 
 from pymc_features._checks import check_file, check_flag, check_texts
-from pymc_features.io.formats.libraries import is_universal
+from pymc_features.io.formats.libraries import UNIVERSAL
 from pymc_features.io.reading.recording import Opening
 from pymc_features.modal.data import ModalData, refusal
 from pymc_features.modal.files.quantities import check_names, modal_data
@@ -107,7 +107,7 @@ def _read_file(path: Path, names: dict[str, str], channels) -> dict:
     opening = Opening.of(path)
     if opening.suffix == ".mat" or opening.head.startswith(b"MATLAB ") or h5py.is_hdf5(path):
         return read_mat_modes(path, names)
-    if is_universal(opening.head):
+    if opening.begins(UNIVERSAL):
         _refuse_names(names, f"{path.name}, a Universal File")
         return read_universal(path)
     if opening.head.removeprefix(codecs.BOM_UTF8).lstrip()[:1] in (b"{", b"["):
