@@ -54,15 +54,15 @@ def beam(factors=(1.0, 1.0), mass=None, spring=None):
     return np.sqrt(squares), vectors[::2]
 
 
-class Test(NamedTuple):
-    """Forces (point, blow, time) [N], accelerations (point, blow, sensor, time), and centroids of blows [s]."""
+class HammerTest(NamedTuple):
+    """Blows and what followed."""
 
-    force: np.ndarray
-    acceleration: np.ndarray
-    centroids: np.ndarray
+    force: np.ndarray  # (point, blow, time) [N]
+    acceleration: np.ndarray  # (point, blow, sensor, time)
+    centroids: np.ndarray  # of the blows [s]
 
 
-def hammer_test(modes, ratios, duration, rng, drift=0.0) -> Test:
+def hammer_test(modes, ratios, duration, rng, drift=0.0) -> HammerTest:
     """Blows of cos^4 shape, some 2 ms long; each mode follows in closed form, with noise added in time."""
     n = round(duration * RATE)
     t = np.arange(n) / RATE
@@ -102,10 +102,10 @@ def hammer_test(modes, ratios, duration, rng, drift=0.0) -> Test:
     early = acceleration[..., : round(2.0 * RATE)]
     level = NOISE * np.sqrt(np.mean(early**2, axis=(0, 1, 3)))
     acceleration += level[:, None] * rng.standard_normal(acceleration.shape)
-    return Test(force, acceleration, centroids)
+    return HammerTest(force, acceleration, centroids)
 
 
-def responses(test: Test, decay=0.0, pad=1) -> xr.Dataset:
+def responses(test: HammerTest, decay=0.0, pad=1) -> xr.Dataset:
     """H1 with the variance of its lines."""
     behind = (pad - 1) * test.force.shape[-1]
     records = [np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, behind)]) for x in test[:2]]

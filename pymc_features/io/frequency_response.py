@@ -25,7 +25,7 @@ from pymc_features._checks import (
     shown,
     warn_caller,
 )
-from pymc_features.io.formats.libraries import AXES, FUNCTIONS, QUANTITY_OF_TYPE, SINGLE, is_universal
+from pymc_features.io.formats.libraries import AXES, FUNCTIONS, QUANTITY_OF_TYPE, UNIVERSAL
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.formats.text import read_columns
 from pymc_features.io.reading.labels import SI, Label, role_of, unit_of
@@ -146,7 +146,7 @@ def _must(holds, source: str, be: str, got, advice: str = "Export it again.") ->
 
 def _read(path: Path, columns) -> list[Function]:
     """The functions of a file."""
-    if is_universal((raw := path.read_bytes())[:200]):
+    if re.match(UNIVERSAL, raw := path.read_bytes()):
         _must(raw.rstrip().endswith(b"    -1"), path.name, "end with a line of -1", "none")
         return _universal(path, raw)
     if path.suffix.lower() == ".npz":
@@ -173,7 +173,7 @@ def _universal(path: Path, raw: bytes) -> list[Function]:
         if one["binary"]:  # numbers must reach to the end, else a byte was lost or added
             order, size = (
                 "<" if one["byte_ordering"] == 1 else ">",
-                4 if one["ord_data_type"] in SINGLE else 8,
+                4 if one["ord_data_type"] in (2, 5) else 8,
             )
             last = np.array(values[-1:]).view(np.float64)[-1:].astype(f"{order}f{size}").tobytes()
             whole = whole and any(last + end + b"    -1" in raw for end in (b"", b"\n", b"\r\n"))

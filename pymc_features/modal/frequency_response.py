@@ -181,7 +181,7 @@ class FrequencyResponse:
         if model_error is None and fit.chi2 > POOR:
             tell(
                 f"the modes leave residuals of {name} whose mean square is {fit.chi2:.3g} times their "
-                "variance: lines alone would give intervals that are too narrow. Leave `model_error` as it is."
+                "variance: lines alone would give too narrow intervals. Leave `model_error` as it is."
             )
         return rv
 
@@ -455,9 +455,9 @@ def warn_at_start(name, frequencies, observed, fit: TransferFit) -> None:
         few, many = ("peak", "modes") if len(peaks) < len(inside) else ("mode", "peaks")
         seen, own = (", ".join(f"{x:.4g}" for x in some) or "none" for some in (peaks, inside))
         tell(
-            f"{name} shows {len(peaks)} modes between {low:.4g} and {high:.4g} Hz, at {seen} Hz, and the model "
-            f"has {len(inside)} there at its initial point, at {own} Hz: some {many} have no {few}. Choose "
-            "another band, or say by `n_identified` how many modes were measured."
+            f"{name} shows {len(peaks)} modes between {low:.4g} and {high:.4g} Hz, at {seen} Hz, and the "
+            f"model has {len(inside)} there at its initial point, at {own} Hz: some {many} have no {few}. "
+            "Choose another band, or say by `n_identified` how many modes were measured."
         )
 
 

@@ -5,10 +5,10 @@ At s = decay + 2 pi i f, the response a to inputs X_r is
     Y_a = sum_n p_na sum_r p_nr X_r g_n + sum_r (c_ar + d_ar s^2) s^(q - 2) X_r,
     g_n = s^q / (s^2 + 2 zeta_n w_n s + w_n^2),
 
-with q = 2 for accelerations, 1 for velocities, 0 for displacements. The real c and d stand for modes far below
-and above the lines; they follow from the lines, and are integrated out, as are modes beside the lines. What a
-record that is cut at T lacks of a response to a blow is subtracted in closed form; of a record that neither
-begins nor ends at rest each mode has a free decay more, whose two amplitudes are fitted.
+with q = 2 for accelerations, 1 for velocities, 0 for displacements. The real c and d stand for modes far
+below and above the lines; they follow from the lines, and are integrated out, as are modes beside the lines.
+What a record that is cut at T lacks of a response to a blow is subtracted in closed form; of a record that
+neither begins nor ends at rest each mode has a free decay more, whose two amplitudes are fitted.
 
 The modes q = (ln w, ln zeta, p_r, p_a) are fitted once, by Gauss and Newton, to all lines. With their
 information matrix they stand for the data: ln L(q) = ln L(q_0) - (q - q_0)' Lambda (q - q_0) / 2.
@@ -22,31 +22,20 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm, t
 
 POWERS = {"accelerance": 2, "mobility": 1, "receptance": 0}
+BEYOND = -2, 0  # powers of s beside s^q of the terms for modes far below and above the lines
 RATIOS = np.geomspace(1e-5, 0.1, 13)  # of damping, among which that of a further mode is sought
 STEP = 1e-3  # of differences: of ln zeta, and of ln w in units of zeta
 STEPS, ENOUGH = 60, 1e-3  # of a fit at most, and gain of log-likelihood below which it ends,
 ROUGHLY = 1.0  # and while modes are sought
-DRIFT, LARGE, FEWEST = (
-    2e-5,
-    1e-3,
-    3,
-)  # of ln w between two references, of what is free; references that tell it
-UNKNOWN = 1e-11  # of the largest relative eigenvalue of an information
-FORGOTTEN = (
-    30.0  # natural logarithm by which a response has decayed at the end of a record that shows nothing of it
-)
 MOST = 30  # modes
-BEYOND = -2, 0  # powers of s beside s^q of the terms for modes beyond the lines
-SMOOTHED, LEAST = (
-    40,
-    100,
-)  # the level of errors is averaged over this part of the lines, or so many, where it is not known
+FORGOTTEN = 30.0  # e-folds by which a response has decayed at the end of a record that does not miss it
+UNKNOWN = 1e-11  # of the largest relative eigenvalue of an information
+DRIFT, LARGE = 2e-5, 1e-3  # of ln w between two references, where they do not tell it; of what is free
+FEWEST = 3  # references that tell it
+SMOOTHED, LEAST = 40, 100  # an unknown level of errors is averaged over this part of the lines, or so many
 SAME = 0.9  # MAC of two modes that are one
 FAINT = 0.05  # of the power at its frequency: less of it belongs to no mode that is seen
-WIDEST, NARROW = (
-    0.1,
-    0.1,
-)  # damping ratio, and part of the distance of lines, of what is no mode: noise, or the rest
+WIDEST, NARROW = 0.1, 0.1  # damping ratio, and part of the distance of lines, of what is no mode
 
 
 class Lines(NamedTuple):
@@ -382,7 +371,7 @@ def fit_modes(
 
 
 def drift_between(modes: TransferModes, experiments, lines) -> float:
-    """Standard deviation of ln w from one reference to the next, wider as the few references that tell it ask."""
+    """Standard deviation of ln w from one reference to the next, wider where few references tell it."""
     n = modes.inputs.shape[1]
     if len(experiments) < max(n, FEWEST) or n < FEWEST:
         return DRIFT * (len(experiments) == n > 1)

@@ -234,7 +234,7 @@ def test_coverage(case):
 
 
 def test_a_record_that_is_cut():
-    """What a blow leaves after the end of the record is in the fit: ln zeta within 5 sds; without it, far off."""
+    """What a blow leaves after the end of the record is in the fit: ln zeta within 5 sds, and beyond without."""
     test = hammer_test(beam(), np.full(40, 0.01), 1.0, np.random.default_rng(1))
     data = responses(test).sel(frequency=slice(BAND[0], 300.0))
     off = []
