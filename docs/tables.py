@@ -14,7 +14,7 @@ from pymc_features.ambient import AmbientResponse
 from pymc_features.inference import sample
 from pymc_features.io import FORMATS
 from pymc_features.likelihoods import HISTORY_LIKELIHOODS, NODES
-from pymc_features.modal import ModalFeature
+from pymc_features.modal import FrequencyResponse, ModalFeature
 from pymc_features.smc import KERNELS, SIMULATOR_KERNELS
 from pymc_features.structures import DAMPINGS, STRUCTURES
 from pymc_features.structures.specimens import SPECIMENS
@@ -24,7 +24,10 @@ from pymc_features.update.problem import Config
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = {  # name between the markers -> heading of the first column, members
     "structures": ("structure or damping", STRUCTURES + SPECIMENS + DAMPINGS),
-    "likelihoods": ("likelihood or node", (*HISTORY_LIKELIHOODS, ModalFeature, AmbientResponse, *NODES)),
+    "likelihoods": (
+        "likelihood or node",
+        (*HISTORY_LIKELIHOODS, ModalFeature, FrequencyResponse, AmbientResponse, *NODES),
+    ),
     "kernels": ("sampler or kernel", (sample, *KERNELS, *SIMULATOR_KERNELS)),
 }
 

@@ -70,6 +70,7 @@ PUBLIC_NAMES = [
     "DuffingChain",
     "ExpFeature",
     "ExternalSimulator",
+    "FrequencyResponse",
     "GammaFeature",
     "HystereticChain",
     "LinearStructure",

@@ -124,7 +124,7 @@ def modal(theta, n=10):
 
 def intervals(data: xr.Dataset, model_error: bool, grid=(12, 10, 6)):
     """5, 50 and 95 % quantiles (3, 3) of theta, by Laplace's method on a grid of the model's errors."""
-    fit = fit_of(data, None)
+    fit = fit_of(data)
     parts = standardised(fit, True)
     size = len(SENSORS)
     scales = np.zeros((1, 3))

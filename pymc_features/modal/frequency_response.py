@@ -17,7 +17,6 @@ from pytensor.tensor import TensorLike, TensorVariable
 from pymc_features._checks import (
     as_list,
     check_choice,
-    check_integer,
     check_name,
     check_number,
     message,
@@ -75,7 +74,8 @@ class FrequencyResponse:
         Its parameters may be random variables; it must be damped.
     observed : Dataset
         What `io.read_frequency_response` or `signals.frequency_response` returned. Choose a band by
-        ``observed.sel(frequency=slice(low, high))``; modes beside it are fitted as what they do to the lines.
+        ``observed.sel(frequency=slice(low, high))``; what modes beside it do to the lines is in the fit, and
+        how many are among them says the Bayesian information criterion.
     responses, references : sequence of int or str, optional
         Degree of freedom of each response, and of each reference where a force acts, 0 next to the base, or
         their names. By default the labels of the data. A name that differs from a label in the sign of its
@@ -83,9 +83,6 @@ class FrequencyResponse:
         modes is free.
     n_modes : int, optional
         Of the model, lowest first, more than were measured so that none leaves the list; all by default.
-    n_identified : int, optional
-        Number of modes among the lines. By default those that the lines show by the Bayesian information
-        criterion.
     sigma_f, sigma_zeta, sigma_phi : tensor_like (), optional
         Standard deviations of the model's errors of ln f, ln zeta, and shapes [-]. By default half-normal
         variables ``{name}_sigma_f`` and so on, with scales of 0.02, 0.2 and 0.1.
@@ -133,7 +130,6 @@ class FrequencyResponse:
         responses: Sequence[int] | Sequence[str] | None = None,
         references: Sequence[int] | Sequence[str] | None = None,
         n_modes: int | None = None,
-        n_identified: int | None = None,
         sigma_f: TensorLike | None = None,
         sigma_zeta: TensorLike | None = None,
         sigma_phi: TensorLike | None = None,
@@ -144,7 +140,7 @@ class FrequencyResponse:
             raise TypeError(message("structure", "a Structure", shown(structure)))
         if model_error is not None:
             check_choice(model_error, "model_error", ["modes"], "Or pass None.")
-        fit = fit_of(observed, n_identified)
+        fit = fit_of(observed)
         n, n_in = fit.modes.inputs.shape
         is_force = observed.attrs.get("excitation", "force") == "force"
         places, signs = placed(structure, observed["response"].values, responses, "responses")
@@ -194,13 +190,11 @@ def positive(name, value) -> TensorVariable:
     return tensor
 
 
-def fit_of(observed, n_identified: int | None) -> TransferFit:
+def fit_of(observed) -> TransferFit:
     """The modes that frequency response functions show."""
     if not isinstance(observed, xr.Dataset) or "frequency_response" not in observed:
         advice = "Pass what `io.read_frequency_response` or `signals.frequency_response` returned."
         raise TypeError(message("observed", "frequency response functions", shown(observed), advice))
-    if n_identified is not None:
-        n_identified = check_integer(n_identified, "n_identified", least=1)
     h = observed["frequency_response"].transpose("response", "reference", "frequency").values
     f, attrs = observed["frequency"].values, observed.attrs
     if len(f) < 2 or not np.isfinite(h).all() or not (np.diff(f) > 0.0).all() or f[0] <= 0.0:
@@ -218,9 +212,9 @@ def fit_of(observed, n_identified: int | None) -> TransferFit:
         Experiment(np.array([r]), np.ones((1, len(f))), h[:, r], None if variance is None else variance[:, r])
         for r in range(h.shape[1])
     ]
-    fit = fit_modes(experiments, lines, n_identified, gain=GAIN)
+    fit = fit_modes(experiments, lines, gain=GAIN)
     if not len(fit.modes.natural):
-        advice = "Choose a band with peaks, or say by `n_identified` how many there are."
+        advice = "Choose a band with peaks, by .sel(frequency=slice(low, high))."
         raise ValueError(message("observed", "lines with modes", "none with any", advice))
     return fit
 
@@ -457,7 +451,7 @@ def warn_at_start(name, frequencies, observed, fit: TransferFit) -> None:
         tell(
             f"{name} shows {len(peaks)} modes between {low:.4g} and {high:.4g} Hz, at {seen} Hz, and the "
             f"model has {len(inside)} there at its initial point, at {own} Hz: some {many} have no {few}. "
-            "Choose another band, or say by `n_identified` how many modes were measured."
+            "Choose another band, by .sel(frequency=slice(low, high)), or the start of the parameters."
         )
 
 

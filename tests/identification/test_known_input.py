@@ -41,7 +41,7 @@ def expected():
 
 @pytest.mark.statistical
 def test_an_earthquake():
-    """Each mode once, in 15 records; 120 numbers as wide as said. False alarms: 1 in 1,000. Control: half as wide."""
+    """Each mode once in 15 records, 120 numbers as wide as said (1e-3 false alarms). Control: half of it."""
     f, zeta, shapes = expected()
     z = []
     for seed in range(15):
