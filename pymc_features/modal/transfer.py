@@ -62,6 +62,7 @@ class Experiment(NamedTuple):
     excitation: np.ndarray  # (i, k)
     response: np.ndarray  # (a, k)
     variance: np.ndarray | None = None  # E|error|^2 (a, k), None if it is not known
+    drift: float = 0.0  # by which ln w of all modes is off in it
 
 
 class TransferModes(NamedTuple):
@@ -154,6 +155,15 @@ def residual_terms(lines: Lines) -> np.ndarray:
     return terms / np.sqrt(np.mean(np.abs(terms) ** 2, axis=1, keepdims=True))
 
 
+def columns_of(w, z, lines: Lines) -> np.ndarray:
+    """Responses of modes, their slopes by ln w and ln zeta, and terms for modes far away (3 n + 2, k)."""
+    of_w = STEP * z
+    by_w = unit_responses(w * np.exp(of_w), z, lines) - unit_responses(w * np.exp(-of_w), z, lines)
+    by_z = unit_responses(w, z * np.exp(STEP), lines) - unit_responses(w, z * np.exp(-STEP), lines)
+    slopes = by_w / (2.0 * of_w[:, None]), by_z / (2.0 * STEP)
+    return np.concatenate([unit_responses(w, z, lines), *slopes, residual_terms(lines)])
+
+
 def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Lines, drift=0.0, gain=0.0):
     """Log-likelihood, chi2, gradient and information of all unknowns: q, rest, decays, drifts, gains.
 
@@ -163,11 +173,8 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
     w, z, p_in, p_out, rest, ends = modes
     (n, n_in), n_out = p_in.shape, p_out.shape[1]
     at, at_rest = np.arange(n), np.arange(len(BEYOND))
-    g = unit_responses(w, z, lines)
-    of_w = STEP * z
-    by_w = unit_responses(w * np.exp(of_w), z, lines) - unit_responses(w * np.exp(-of_w), z, lines)
-    by_z = unit_responses(w, z * np.exp(STEP), lines) - unit_responses(w, z * np.exp(-STEP), lines)
-    columns = np.concatenate([g, by_w / (2.0 * of_w[:, None]), by_z / (2.0 * STEP), residual_terms(lines)])
+    columns = {drift: columns_of(w * np.exp(drift), z, lines) for drift in {e.drift for e in experiments}}
+    n_columns = 3 * n + len(BEYOND)
     width, size = 2 + n_in + n_out, n * (2 + n_in + n_out)
     first_rest, first_end = size, size + rest.size
     first_drift = first_end + ends.size
@@ -180,13 +187,13 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
         0,
     )
     for e, experiment in enumerate(experiments):
-        basis = np.concatenate([x * columns for x in experiment.excitation])
+        basis = np.concatenate([x * columns[experiment.drift] for x in experiment.excitation])
         if lines.decays:
             basis = np.concatenate([basis, *free_decays(w, z, lines)])
         for a, (y, v) in enumerate(zip(experiment.response, experiment.variance, strict=True)):
             to, linear = np.zeros((len(basis), total)), np.zeros(len(basis))
             for i, r in enumerate(experiment.inputs):
-                start, both = i * len(columns), p_out[:, a] * p_in[:, r]
+                start, both = i * n_columns, p_out[:, a] * p_in[:, r]
                 of_g, of_rest = start + at, start + 3 * n
                 linear[of_g], linear[of_rest : of_rest + len(BEYOND)] = both, rest[a, r]
                 to[of_g, at * width + 2 + r] = p_out[:, a]
@@ -213,6 +220,11 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
             count += off.size
     priors = [*[drift] * (n_in if drift else 0), *[gain] * (n_in + n_out if gain else 0)]
     information[first_drift:, first_drift:] += np.diag(np.array(priors) ** -2.0)
+    if drift:
+        shifts = np.zeros(n_in)
+        for e in experiments:
+            shifts[e.inputs] = e.drift
+        gradient[first_drift : first_drift + n_in] -= shifts / drift**2
     return log_likelihood, square / count, gradient, information
 
 
@@ -239,11 +251,12 @@ def climbed(modes: TransferModes, experiments, lines, enough=ENOUGH):
 
 def residuals(modes: TransferModes, experiments, lines) -> list[np.ndarray]:
     """What modes leave of the responses (a, k) of each experiment."""
-    g, terms = unit_responses(modes.natural, modes.ratios, lines), residual_terms(lines)
+    terms = residual_terms(lines)
     decays = free_decays(modes.natural, modes.ratios, lines) if lines.decays else None
     found = []
     for i, e in enumerate(experiments):
         forces = modes.inputs[:, e.inputs] @ e.excitation
+        g = unit_responses(modes.natural * np.exp(e.drift), modes.ratios, lines)
         rest = np.einsum("ait,tk,ik->ak", modes.rest[:, e.inputs], terms, e.excitation)
         decay = np.einsum("nj,jnk->nk", modes.ends[i], decays) if lines.decays else 0.0
         found.append(e.response - modes.outputs.T @ (forces * g + decay) - rest)
@@ -346,22 +359,25 @@ def fit_modes(
         0.5 * (1 + n_in + n_out + 2 * lines.decays) * np.log(2.0 * sum(e.response.size for e in experiments))
     )
     charge += np.log(len(lines.frequencies))  # for any of them a mode may be at
-    while len(modes.natural) < MOST and are_seen(modes, experiments, lines).sum() < (n_modes or MOST):
-        more, there, of_more = fitted(further_mode(modes, known, lines))
-        if unknown:
-            more, there, of_more = fitted(more)
-        new = len(more.natural) - 1
-        is_better = there[0] - here[0] > charge and not is_double(more, new)
-        if n_modes is None and not is_better:
-            break
-        modes, here, known = more, there, of_more
-    for _ in range(3 if unknown else 1):
-        modes, here, known = fitted(modes, smoothed=True)
+    drift, is_told = 0.0, len(experiments) == n_in > 1
+    for _ in range(1 + is_told):  # where references drift apart, that hides what else there is
+        while len(modes.natural) < MOST and are_seen(modes, experiments, lines).sum() < (n_modes or MOST):
+            more, there, of_more = fitted(further_mode(modes, known, lines))
+            if unknown:
+                more, there, of_more = fitted(more)
+            is_better = there[0] - here[0] > charge and not is_double(more, len(more.natural) - 1)
+            if n_modes is None and not is_better:
+                break
+            modes, here, known = more, there, of_more
+        for _ in range(3 if unknown else 1):
+            modes, here, known = fitted(modes, smoothed=True)
+        if is_told:
+            drift, shifts = drifts(modes, known, lines)
+            experiments = [e._replace(drift=shift) for e, shift in zip(experiments, shifts, strict=True)]
+            modes, here, known = fitted(modes, smoothed=True)
     order = np.lexsort([modes.natural, ~are_seen(modes, experiments, lines)])
     modes = TransferModes(*(x[order] for x in modes[:4]), modes.rest, modes.ends[:, order]).balanced()
-    log_likelihood, chi2, gradient, information = quadratic(
-        modes, known, lines, drift_between(modes, known, lines), gain
-    )
+    log_likelihood, chi2, gradient, information = quadratic(modes, known, lines, drift, gain)
     n, k = are_seen(modes, experiments, lines).sum(), modes.table.shape[1]
     score, information = without_rest(gradient, information, n * k)
     step = with_pseudo_inverse(information) @ score  # what drifts and sensitivities that differ move
@@ -370,19 +386,22 @@ def fit_modes(
     return TransferFit(modes, information, log_likelihood, chi2)
 
 
-def drift_between(modes: TransferModes, experiments, lines) -> float:
-    """Standard deviation of ln w from one reference to the next, wider where few references tell it."""
-    n = modes.inputs.shape[1]
-    if len(experiments) < max(n, FEWEST) or n < FEWEST:
-        return DRIFT * (len(experiments) == n > 1)
+def drifts(modes: TransferModes, experiments, lines) -> tuple[float, np.ndarray]:
+    """Standard deviation of ln w from one reference to the next, and by how much it is off at each (r,).
+
+    The standard deviation is larger where few references tell it, as by Student's t.
+    """
+    n, now = len(experiments), np.array([e.drift for e in experiments])
+    if n < FEWEST:
+        return DRIFT, now
     *_, gradient, information = quadratic(modes, experiments, lines, drift=LARGE)
     order = np.r_[-n:0, : len(gradient) - n]
     score, information = without_rest(gradient[order], information[np.ix_(order, order)], n)
-    covariance = np.linalg.inv(information)
-    off = covariance @ score
-    apart = np.eye(n) - 1.0 / n
-    scatter = off @ apart @ off / (n - 1) - np.trace(apart @ covariance @ apart) / (n - 1)
-    return np.sqrt(max(scatter, 0.0)) * t.ppf(0.95, n - 1) / norm.ppf(0.95)
+    covariance, apart = np.linalg.inv(information), np.eye(n) - 1.0 / n
+    off = apart @ (now + covariance @ score)
+    scatter = (off @ off - np.trace(apart @ covariance @ apart)) / (n - 1)
+    scale = np.sqrt(max(scatter, 0.0)) * t.ppf(0.95, n - 1) / norm.ppf(0.95)
+    return scale, off if scale else np.zeros(n)
 
 
 def without_rest(gradient, information, size: int) -> tuple[np.ndarray, np.ndarray]:
