@@ -51,10 +51,8 @@ def check_array(channels, sensors: bool = False) -> xr.DataArray:
     check_finite(np.where(gaps, 0.0, channels.values), "channels", "NaN is a gap.")
     silent = np.flatnonzero(gaps.all(axis=-1))
     if len(silent):
-        name = str(sensor_names(channels)[silent[0]])
-        raise ValueError(
-            f"`channels` must have samples of every sensor, got NaN alone in {name!r}. Leave it out."
-        )
+        got = f"NaN alone in {str(sensor_names(channels)[silent[0]])!r}"
+        raise ValueError(f"`channels` must have samples of every sensor, got {got}. Leave it out.")
     names = [str(name) for name in channels["sensor"].values] if sensors else []
     if len(set(names)) < len(names):
         raise ValueError(f"`channels` must have a name of its own for each sensor, got {', '.join(names)}.")
@@ -121,9 +119,8 @@ def check_window(channels: xr.DataArray, window, name: str = "window") -> tuple[
     low = int(np.ceil((first - begin) / step - 1e-6))
     high = int(np.floor((last - begin) / step + 1e-6)) + 1
     if high - low < 2:
-        raise ValueError(
-            f"`{name}` must hold at least 2 samples, got ({first:g}, {last:g}) at a step of {step:g} s."
-        )
+        got = f"({first:g}, {last:g}) at a step of {step:g} s"
+        raise ValueError(f"`{name}` must hold at least 2 samples, got {got}.")
     return low, high
 
 
@@ -131,9 +128,8 @@ def check_frequency(value, name: str, nyquist: float) -> float:
     """A frequency [Hz] between 0 and half the sampling rate."""
     frequency = check_number(value, name, "Pass a frequency in Hz.")
     if not 0.0 < frequency < nyquist:
-        raise ValueError(
-            f"`{name}` must lie between 0 and {nyquist:g} Hz, half the sampling rate, got {frequency:g}."
-        )
+        between = f"between 0 and {nyquist:g} Hz, half the sampling rate"
+        raise ValueError(f"`{name}` must lie {between}, got {frequency:g}.")
     return frequency
 
 

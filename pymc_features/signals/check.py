@@ -138,10 +138,8 @@ def _check_order(found: xr.Dataset) -> list[str]:
         return []
     names = [str(name) for name in found["sensor"].values]
     listed = ", ".join(f"{name} {gain:.3f}" for name, gain in zip(names, gains, strict=True))
-    warn_channel(
-        "Sensors may be swapped, or not listed from the base up: low-frequency gains must rise, "
-        f"got {listed}."
-    )
+    said = "Sensors may be swapped, or not listed from the base up: low-frequency gains must rise"
+    warn_channel(f"{said}, got {listed}.")
     return [names[i] for i in np.argsort(gains, kind="stable")]
 
 
@@ -153,10 +151,8 @@ def check_each(channels: xr.DataArray) -> None:
     measured = [row[~missing] for row, missing in zip(values, gaps, strict=True)] if gaps.any() else values
     for name, history in zip(names, measured, strict=True):
         if not history.size or history.max() == history.min():
-            raise ValueError(
-                f"Channel {name} must move, all its {history.size} samples are {history[:1].sum():g}. Leave "
-                "it out."
-            )
+            same = f"all its {history.size} samples are {history[:1].sum():g}"
+            raise ValueError(f"Channel {name} must move, {same}. Leave it out.")
     with np.errstate(over="ignore", invalid="ignore"):  # implausible peaks may be as large as numbers get
         for name, history in zip(names, measured, strict=True):
             for suspicion in _suspicions(history):
@@ -179,12 +175,31 @@ def check_each(channels: xr.DataArray) -> None:
             )
 
 
+def runs_of(history) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First sample and length of each run of equal samples, and the larger of the jumps beside it."""
+    starts = np.flatnonzero(np.r_[True, history[1:] != history[:-1]])
+    between = np.abs(np.diff(history)[starts[1:] - 1])
+    jumps = np.maximum(np.r_[0.0, between], np.r_[between, 0.0])
+    return starts, np.diff(np.r_[starts, history.size]), jumps
+
+
+def flat_tops(history) -> list[tuple[float, np.ndarray]]:
+    """Extremes at which a history stays as if cut off, and the lengths of its flat tops there."""
+    starts, lengths, jumps = runs_of(history)
+    found = []
+    for extreme in (history.max(), history.min()):
+        flat = (history[starts] == extreme) & (lengths >= _FLAT_TOP)
+        if flat.any() and abs(extreme - np.median(history)) > 0.5 * history.std():  # else the value at rest
+            # a smooth peak that rounds to three equal samples has 1.5 steps of the resolution beside them
+            tops = lengths[flat & (jumps > 3.0 * np.diff(np.unique(history)).min())]
+            found += [(extreme, tops)] if tops.size else []
+    return found
+
+
 def implausible(peak: float) -> str:
     """What is said of a peak [m/s^2] that no motion has."""
-    return (
-        f"has an implausible peak of {peak:.4g} m/s^2, {peak / GRAVITY:.3g} g. Check `units`, and that it is "
-        "an acceleration."
-    )
+    what = f"an implausible peak of {peak:.4g} m/s^2, {peak / GRAVITY:.3g} g"
+    return f"has {what}. Check `units`, and that it is an acceleration."
 
 
 def _suspicions(history):
@@ -192,37 +207,22 @@ def _suspicions(history):
     extent = history.max() - history.min()
     doubtful = not 2.0 * SMALLEST < extent < LARGEST  # the peak is half of it at least
     peak = np.abs(history - np.median(history)).max() if doubtful else extent
-    if extent >= LARGEST and peak > LARGEST:
+    if not SMALLEST <= peak <= LARGEST and doubtful:
         yield implausible(peak)
-    elif extent <= 2.0 * SMALLEST and peak < SMALLEST:
-        yield f"has an implausible peak of {peak:.2g} m/s^2, {peak / GRAVITY:.1g} g. Check `units`."
     elif abs(abs(history.mean()) - GRAVITY) < 0.03 * GRAVITY:
         yield f"has a mean of {history.mean():.4g} m/s^2, that of gravity. Is it vertical? Detrend it if so."
     again = history[1:] == history[:-1]
     if not (again[1:] & again[:-1]).any():  # never three in a row
         return
-    steps, middle = np.diff(history), np.median(history)
-    starts = np.flatnonzero(np.r_[True, ~again])
-    lengths = np.diff(np.r_[starts, history.size])
-    between = np.abs(steps[starts[1:] - 1])
-    jumps = np.maximum(np.r_[0.0, between], np.r_[between, 0.0])  # the larger of before and after
-    inner = np.ones(starts.size, dtype=bool)
-    clipped = []
-    for extreme, word in ((history.max(), "largest"), (history.min(), "smallest")):
-        at_extreme = history[starts] == extreme
-        inner &= ~at_extreme
-        flat = at_extreme & (lengths >= _FLAT_TOP)
-        if not flat.any() or abs(extreme - middle) < 0.5 * history.std():
-            continue  # the value at rest
-        # a smooth peak that rounds to three equal samples has 1.5 steps of the resolution beside them
-        tops = lengths[flat & (jumps > 3.0 * np.diff(np.unique(history)).min())]
-        if tops.size:
-            clipped.append(
-                f"looks clipped: {tops.sum()} samples at its {word} value {extreme:.4g} m/s^2, in "
-                f"{tops.size} flat tops. Leave it out, or use a weaker shaking."
-            )
-    yield from clipped[:1]
-    held = np.flatnonzero((lengths >= _HELD) & (jumps > 2.0 * steps.std()) & inner)
+    for extreme, tops in flat_tops(history)[:1]:
+        word = "largest" if extreme == history.max() else "smallest"
+        yield (
+            f"looks clipped: {tops.sum()} samples at its {word} value {extreme:.4g} m/s^2, in {tops.size} "
+            "flat tops. Leave it out, or use a weaker shaking."
+        )
+    starts, lengths, jumps = runs_of(history)
+    inner = (history[starts] != history.max()) & (history[starts] != history.min())
+    held = np.flatnonzero((lengths >= _HELD) & (jumps > 2.0 * np.diff(history).std()) & inner)
     if held.size:  # filled in amid a motion: it ends, or starts, with a jump
         longest = held[np.argmax(lengths[held])]
         yield (

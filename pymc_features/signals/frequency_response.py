@@ -28,6 +28,7 @@ from pymc_features._checks import (
     step_or_rate,
 )
 from pymc_features.signals.channels import check_array, check_band, sampling_step, warn_channel
+from pymc_features.signals.check import flat_tops
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -39,7 +40,6 @@ RATIOS = [(x, y) for x in ("N", "(m/s^2)") for y in ("(m/s^2)", "(m/s)", "m")]
 RATIOS = {f"{y}/{x}": (x.strip("()"), y.strip("()")) for x, y in RATIOS}
 DIMS = "reference", "blow", "response", "time"
 HIT, SHORT = 0.1, 0.1  # of the peak of a force, above what filters ring; of a record, at most, is a blow
-FLAT_TOP = 3  # samples in a row at the extreme
 LINES = 100  # averages times lines for a variance, which has an error of 10 %
 STEPS, LEAST = 10, 1e-3  # in which weights of blows settle; level of a blow, at least, of the mean
 RANK, ROUNDING = 1e-6, 1e-24  # least eigenvalue of S_xx of unit powers; power that is none, of the largest
@@ -245,7 +245,7 @@ def _left_out(leave_out, setups, there, forces, motions, loud) -> np.ndarray:
         pulses = _runs(loud[k, n, 0])
         gaps = pulses[1:, 0] - pulses[:-1, 1]
         hits = 1 + (gaps > 0.5 * np.diff(pulses).max(initial=0)).sum()  # shorter gaps are noise of one
-        over = sum(map(_is_clipped, (*forces[k, n], *motions[k, n])))
+        over = sum(bool(flat_tops(x)) for x in (*forces[k, n], *motions[k, n]))
         says = [f"{hits} hits"] * int(hits > 1) + [f"{over} of its channels overloaded"] * int(over > 0)
         doubts |= {(setups[k], int(n)): " and ".join(says)} if says else {}
     pairs = list(doubts) if isinstance(leave_out, str) and leave_out == "doubtful" else as_list(leave_out)
@@ -266,14 +266,6 @@ def _left_out(leave_out, setups, there, forces, motions, loud) -> np.ndarray:
 def _runs(flags: np.ndarray) -> np.ndarray:
     """First and one past the last place of each run of True (run, 2)."""
     return np.flatnonzero(np.diff(np.r_[False, flags, False])).reshape(-1, 2)
-
-
-def _is_clipped(history: np.ndarray) -> bool:
-    """Whether a history stays at an extreme, beside which it moves by more than its resolution."""
-    jumps, middle = np.abs(np.diff(history, prepend=history[0], append=history[-1])), np.median(history)
-    extremes = [x for x in (history.max(), history.min()) if abs(x - middle) > 0.5 * history.std()]
-    flat = [run for x in extremes for run in _runs(history == x) if run[1] - run[0] >= FLAT_TOP]
-    return bool(flat) and jumps[flat].max() > 3.0 * np.diff(np.unique(history)).min()
 
 
 def _spectra(values: np.ndarray, window: np.ndarray) -> np.ndarray:
