@@ -173,7 +173,7 @@ class FrequencyResponse:
             signature=SIGNATURE,
             observed=np.zeros(len(root)),
         )
-        warn_at_start(name, found.frequencies, observed, fit)
+        warn_at_start(name, found, observed, fit)
         if model_error is None and fit.chi2 > POOR:
             tell(
                 f"the modes leave residuals of {name} whose mean square is {fit.chi2:.3g} times their "
@@ -227,6 +227,8 @@ def placed(structure, labels, given, name: str) -> tuple[list[int], np.ndarray]:
     wanted = labels if given is None else list(as_list(given))
     places, signs = [], []
     known = structure.dof_names or ()
+    if given is None and not known:
+        raise ValueError(message(name, "given for a structure whose degrees of freedom have no names", given))
     for label, own in zip(labels, wanted, strict=True):
         sign = 1.0
         if isinstance(own, str):
@@ -322,8 +324,9 @@ def misfit_of(frequencies, ratios, shapes, sigmas, q_0, root, parts, n_out) -> M
     scaled = [x * f for x, f in zip(own, factors, strict=True)]
     logs = [np.take_along_axis(x, match, axis=1)[..., None] for x in (ln_w, ln_z)]
     off = np.concatenate([*logs, *scaled], axis=2) - q_0
-    z = off.reshape(len(off), -1) @ root.T
-    covariance = np.eye(len(root)) + np.tensordot(sigmas**2, parts, 1)
+    with np.errstate(all="ignore"):  # what is not finite has no likelihood
+        z = off.reshape(len(off), -1) @ root.T
+        covariance = np.eye(len(root)) + np.tensordot(sigmas**2, parts, 1)
     return Misfit(match, scaled, factors, z, covariance)
 
 
@@ -430,19 +433,21 @@ def logp_and_gradient(
     return logp, *slopes
 
 
-def warn_at_start(name, frequencies, observed, fit: TransferFit) -> None:
-    """Name peaks without a mode, and modes without a peak, at the model's initial point."""
+def warn_at_start(name, found, observed, fit: TransferFit) -> None:
+    """Name peaks without a mode, and modes without a peak, at the start of a model; refuse undamped modes."""
     model = pm.modelcontext(None)
     try:
         function = model.compile_fn(
-            model.replace_rvs_by_values([frequencies]),
+            model.replace_rvs_by_values([found.frequencies, found.damping_ratios]),
             inputs=model.value_vars,
             mode="FAST_COMPILE",
             on_unused_input="ignore",
         )
-        [f] = function(model.initial_point())
+        f, ratios = function(model.initial_point())
     except Exception:  # what cannot be evaluated here is no error of the user's
         return
+    if not (ratios > 0.0).all():
+        raise ValueError(message("structure", "damped in all its modes", f"ratios of {ratios.min():.3g}"))
     low, high = observed["frequency"].values[[0, -1]]
     inside, peaks = f[(f > low) & (f < high)], fit.modes.natural / (2.0 * np.pi)
     if len(inside) != len(peaks):

@@ -339,6 +339,7 @@ def test_refusals(data):
         (data["frequency_response"], {}, TypeError, "`observed` must be frequency response functions"),
         (data.where(data["frequency"] > 2.0), {}, ValueError, "finite, at ascending frequencies"),
         (noise, {}, ValueError, "lines with modes"),
+        (data, {"responses": None}, ValueError, "`responses` must be given for a structure"),
         (data, {"responses": [1]}, ValueError, "`responses` must be one for each of the 2 channels"),
         (data, {"n_modes": 2}, ValueError, "`n_modes` must be at least 3"),
         (data, {"model_error": "lines"}, ValueError, "`model_error` must be"),
@@ -347,3 +348,6 @@ def test_refusals(data):
     for observed, settings, error, words in cases:
         with pytest.raises(error, match=words):
             declare(observed, **settings)
+    with pm.Model(), pytest.raises(ValueError, match="`structure` must be damped in all its modes"):
+        chain = pmf.SpringMassChain(MASS, SPRINGS, pmf.ModalDamping(0.0))
+        FrequencyResponse("H", chain, observed=data, responses=SENSORS, references=POINTS)
