@@ -19,7 +19,7 @@ import pymc_features as pmf
 from benchmarks.tables import table
 from pymc_features.modal.frequency_response import (
     SCALES,
-    fit_of,
+    measured_modes,
     misfit_of,
     standardised,
 )
@@ -124,7 +124,7 @@ def modal(theta, n=10):
 
 def intervals(data: xr.Dataset, model_error: bool, grid=(12, 10, 6)):
     """5, 50 and 95 % quantiles (3, 3) of theta, by Laplace's method on a grid of the model's errors."""
-    fit = fit_of(data)
+    fit = measured_modes(data).fit
     parts = standardised(fit, True)
     size = len(SENSORS)
     scales = np.zeros((1, 3))

@@ -126,7 +126,7 @@ class FrequencyResponse:
         name: str,
         structure: Structure,
         *,
-        observed: xr.Dataset,
+        observed: "xr.Dataset | MeasuredModes",
         responses: Sequence[int] | Sequence[str] | None = None,
         references: Sequence[int] | Sequence[str] | None = None,
         n_modes: int | None = None,
@@ -140,8 +140,9 @@ class FrequencyResponse:
             raise TypeError(message("structure", "a Structure", shown(structure)))
         if model_error is not None:
             check_choice(model_error, "model_error", ["modes"], "Or pass None.")
-        fit = fit_of(observed)
-        n, n_in = fit.modes.inputs.shape
+        given = observed if isinstance(observed, MeasuredModes) else measured_modes(observed)
+        observed, fit, _ = given
+        n = len(fit.modes.natural)
         is_force = observed.attrs.get("excitation", "force") == "force"
         places, signs = placed(structure, observed["response"].values, responses, "responses")
         if is_force:
@@ -190,8 +191,16 @@ def positive(name, value) -> TensorVariable:
     return tensor
 
 
-def fit_of(observed) -> TransferFit:
-    """The modes that frequency response functions show."""
+class MeasuredModes(NamedTuple):
+    """Frequency response functions, and the modes that they show."""
+
+    data: xr.Dataset
+    fit: TransferFit
+    lines: Lines
+
+
+def measured_modes(observed) -> MeasuredModes:
+    """Fit modes to frequency response functions, for any number of models."""
     if not isinstance(observed, xr.Dataset) or "frequency_response" not in observed:
         advice = "Pass what `io.read_frequency_response` or `signals.frequency_response` returned."
         raise TypeError(message("observed", "frequency response functions", shown(observed), advice))
@@ -216,7 +225,7 @@ def fit_of(observed) -> TransferFit:
     if not len(fit.modes.natural):
         advice = "Choose a band with peaks, by .sel(frequency=slice(low, high))."
         raise ValueError(message("observed", "lines with modes", "none with any", advice))
-    return fit
+    return MeasuredModes(observed, fit, lines)
 
 
 def placed(structure, labels, given, name: str) -> tuple[list[int], np.ndarray]:

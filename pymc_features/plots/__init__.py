@@ -10,7 +10,7 @@ from pymc_features.plots.draws import chains, natural_frequencies, prior_posteri
 from pymc_features.plots.histories import channels, predictive, record, response
 from pymc_features.plots.hysteresis import loops
 from pymc_features.plots.modes import mac, mode_shapes
-from pymc_features.plots.spectra import singular_values
+from pymc_features.plots.spectra import response_functions, singular_values
 
 __all__ = [
     "chains",
@@ -23,6 +23,7 @@ __all__ = [
     "prior_posterior",
     "record",
     "response",
+    "response_functions",
     "sampling_rate",
     "sensor_placement",
     "sequence",

@@ -1,4 +1,4 @@
-"""Singular values of the spectra of channels, with the bands of frequency and what a model makes of them."""
+"""Singular values of the spectra of channels, and frequency response functions, with those of a model."""
 
 import numpy as np
 import xarray as xr
@@ -61,6 +61,32 @@ def singular_values(
     if top > 0.0:
         lowest = float(drawn[drawn > 0.0].min())
         ax.set_ylim(max(0.5 * lowest, top / 10.0**DECADES), 3.0 * top)
+    return axes
+
+
+@figure("One for each response", "array of matplotlib Axes")
+def response_functions(functions: xr.Dataset, axes: AxesLike = None) -> np.ndarray:
+    """Magnitudes of frequency response functions: measured, and the median and 5 to 95 % of a model.
+
+    Parameters
+    ----------
+    functions : Dataset
+        `functions` of a likelihood of `run_update`: `size` (quantile, response, reference, frequency) and
+        `measured`, without quantiles.
+    """
+    check_dataset(functions, "functions", "`functions` of a likelihood of `run_update`", "size", "measured")
+    f, responses = functions["frequency"].values, functions["response"].values
+    axes = checked_axes(axes, len(responses), "response", figsize=(9.0, 2.6 * len(responses)), sharex=True)
+    for ax, label in zip(axes, responses, strict=True):
+        for i, reference in enumerate(functions["reference"].values):
+            low, middle, high = functions["size"].sel(response=label, reference=reference).values
+            ax.fill_between(f, low, high, color=f"C{i}", alpha=0.25, lw=0.0)
+            ax.plot(f, middle, color=f"C{i}", lw=0.8, ls="--")
+            measured = functions["measured"].sel(response=label, reference=reference)
+            ax.plot(f, measured, color=f"C{i}", lw=1.0, label=f"{reference}")
+        ax.set(yscale="log", ylabel=f"{label} [{functions.attrs['units']}]")
+    axes[0].legend(title="reference", ncols=6, fontsize="small")
+    axes[-1].set_xlabel("frequency [Hz]")
     return axes
 
 

@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 import pymc_features as pmf
 from benchmarks.coverage.frequency_response import BAND, beam, hammer_test, one, responses
 from pymc_features.exceptions import ModalMatchWarning
-from pymc_features.modal.frequency_response import FrequencyResponse, fit_of, standardised
+from pymc_features.modal.frequency_response import FrequencyResponse, measured_modes, standardised
 
 MASS, SPRINGS, RATIO = np.array([1.0, 1.2, 0.8]), np.array([900.0, 800.0, 700.0]), 0.01
 POINTS, SENSORS = [0, 2], [1, 2]
@@ -82,7 +82,7 @@ def test_the_modes_that_lines_show():
     squares, shapes = eigh(*matrices()[::-1])
     found = []
     for seed in range(40):
-        fit = fit_of(measured(0.03, seed))  # drifts between points are below that
+        fit = measured_modes(measured(0.03, seed)).fit  # drifts between points are below that
         assert len(fit.modes.natural) == 3
         sd = np.sqrt(np.diag(fit.covariance)).reshape(3, -1)
         off = np.log([fit.modes.natural / np.sqrt(squares), fit.modes.ratios / RATIO]).T
@@ -99,7 +99,7 @@ def test_mobilities_and_receptances(power):
     """Their modes are those of accelerances."""
     h = exact(power=power)
     kind = {0: "receptance", 1: "mobility"}[power]
-    fit = fit_of(dataset(h, 1e-6 * np.mean(np.abs(h) ** 2), quantity=kind))
+    fit = measured_modes(dataset(h, 1e-6 * np.mean(np.abs(h) ** 2), quantity=kind)).fit
     squares, _ = eigh(*matrices()[::-1])
     np.testing.assert_allclose(fit.modes.natural, np.sqrt(squares), rtol=1e-6)
     np.testing.assert_allclose(fit.modes.ratios, RATIO, rtol=1e-4)
@@ -142,7 +142,7 @@ def closed_form(fit, theta, zeta, sigmas):
 
 def test_log_likelihood_in_closed_form(model, data):
     """Differences between points, to 1e-8 of them; with large and with hardly any errors of the model."""
-    fit = fit_of(data)
+    fit = measured_modes(data).fit
     logp = model.compile_logp(vars=[model["H"]])
     found, expected = [], []
     for theta, zeta, sigmas in (
@@ -199,7 +199,7 @@ def test_draws_have_the_covariance_of_the_likelihood(model, data):
         )
     with fixed:
         draws = pm.draw(fixed["H"], 4000, random_seed=1)
-    _, root, parts = standardised(fit_of(data), True)
+    _, root, parts = standardised(measured_modes(data).fit, True)
     covariance = np.eye(len(root)) + np.tensordot(np.array([0.02, 0.2, 0.1]) ** 2, parts, 1)
     ratio = draws.var(axis=0) / np.diag(covariance)
     assert np.abs(ratio - 1.0).max() < 6.0 * np.sqrt(2.0 / 4000)
@@ -239,7 +239,7 @@ def test_a_record_that_is_cut():
     data = responses(test).sel(frequency=slice(BAND[0], 300.0))
     off = []
     for attrs in (data.attrs, data.attrs | {"blow": np.nan}):
-        fit = fit_of(data.assign_attrs(attrs))
+        fit = measured_modes(data.assign_attrs(attrs)).fit
         sd = np.sqrt(np.diag(fit.covariance)).reshape(len(fit.modes.natural), -1)
         off.append(np.abs(np.log(fit.modes.ratios[0] / 0.01) / sd[0, 1]))
     assert off[0] < 5.0 < off[1]
@@ -298,7 +298,7 @@ def test_a_measured_beam(data_dir):
         coords = {"response": ["4"], "reference": [str(i) for i in range(9)], "frequency": f[::every]}
         attrs = {"quantity": "accelerance", "excitation": "force"}
         lines = xr.Dataset({"frequency_response": (list(coords), h[None, :, ::every])}, coords, attrs)
-        fits.append(fit_of(lines))
+        fits.append(measured_modes(lines).fit)
     np.testing.assert_allclose(
         fits[0].modes.natural / (2.0 * np.pi), [111.99, 306.86, 596.37, 974.13], rtol=5e-5
     )

@@ -8,10 +8,11 @@ from pymc_features.update.kinds.ambient import Ambient
 from pymc_features.update.kinds.cyclic import Cyclic
 from pymc_features.update.kinds.events import Events
 from pymc_features.update.kinds.external import External
+from pymc_features.update.kinds.frequency_response import FrequencyResponses
 from pymc_features.update.kinds.modal import Modal
 from pymc_features.update.kinds.responses import Responses
 
 #: In the order in which they stand in a problem: the first one decides what is sampled.
-KINDS_OF_DATA = (External, Cyclic, Ambient, Events, Responses, Modal)
+KINDS_OF_DATA = (External, Cyclic, Ambient, Events, Responses, FrequencyResponses, Modal)
 #: All likelihoods by name. The place of one is part of its seed.
 KINDS = LIKELIHOODS | {entry.name: entry for kind in reversed(KINDS_OF_DATA) for entry in kind.own}
