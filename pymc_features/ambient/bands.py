@@ -8,10 +8,9 @@ from numpy.typing import ArrayLike
 from pytensor.gradient import disconnected_type
 from pytensor.graph.basic import Apply
 from pytensor.graph.op import Op
-from pytensor.graph.replace import _vectorize_node
 
 from pymc_features._checks import as_numbers, check_finite, message
-from pymc_features.ops.population import without_unit_batch
+from pymc_features.ops.population import take_batches
 from pymc_features.simulators.spectra import MULTIPLE
 
 FEWEST = 8  # frequencies of a band
@@ -166,14 +165,7 @@ class BandHistories(Op):
         return [slope, *(disconnected_type() for _ in inputs[1:])]
 
 
-@_vectorize_node.register(BandTransform)
-@_vectorize_node.register(BandHistories)
-def vectorize_transform(op, node, first, *others):
-    """The leading dimensions are a batch as they are."""
-    others = [without_unit_batch(x, old.ndim) for x, old in zip(others, node.inputs[1:], strict=True)]
-    if any(x.ndim != old.ndim for x, old in zip(others, node.inputs[1:], strict=True)):
-        raise NotImplementedError("the bands are the same for all particles")
-    return [op(first, *others)]
+take_batches(BandTransform, BandHistories, first=1)
 
 
 def band_transform(histories, bins, weights, dt) -> np.ndarray:

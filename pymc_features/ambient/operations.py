@@ -11,7 +11,7 @@ from pytensor.tensor.blockwise import Blockwise
 from pytensor.tensor.rewriting.basic import register_specialize
 
 from pymc_features.ops.gradient import undefined
-from pymc_features.ops.population import as_rows, without_unit_batch
+from pymc_features.ops.population import as_rows, take_batches, without_unit_batch
 from pymc_features.simulators.spectra import (
     Lines,
     SpectralParameters,
@@ -248,11 +248,7 @@ class ModalFactorGradient(Op):
         return [undefined(self, inputs, i) for i in range(4)]
 
 
-@_vectorize_node.register(ModalFactor)
-@_vectorize_node.register(ModalFactorGradient)
-def vectorize_factor(op, node, *inputs):
-    """The leading dimensions are a batch as they are."""
-    return op.make_node(*inputs).outputs
+take_batches(ModalFactor, ModalFactorGradient)
 
 
 def turned(patterns):

@@ -11,7 +11,6 @@ import xarray as xr
 from pytensor.gradient import disconnected_type
 from pytensor.graph.basic import Apply, Constant
 from pytensor.graph.op import Op
-from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor import TensorLike, TensorVariable
 
 from pymc_features._checks import (
@@ -37,7 +36,7 @@ from pymc_features.modal.transfer import (
 )
 from pymc_features.ops import as_tensor
 from pymc_features.ops.numba_dispatch import run_in_python
-from pymc_features.ops.population import without_unit_batch
+from pymc_features.ops.population import take_batches
 from pymc_features.simulators.request import picked_by_name
 from pymc_features.structures import Structure
 
@@ -394,14 +393,7 @@ class TransferLogp(Op):
         return [*gradients, *(disconnected_type() for _ in inputs[4:])]
 
 
-@_vectorize_node.register(TransferLogp)
-def vectorize_transfer(op, node, *inputs):
-    """The leading dimensions of what the model gives are a batch as they are."""
-    return op.make_node(
-        *inputs[:4], *(without_unit_batch(x, d) for x, d in zip(inputs[4:], NDIMS[4:], strict=True))
-    ).outputs
-
-
+take_batches(TransferLogp, first=4)
 run_in_python(TransferLogp)
 
 

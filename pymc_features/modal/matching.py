@@ -15,13 +15,13 @@ from pymc.logprob.abstract import _logprob
 from pymc.pytensorf import normalize_rng_param
 from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
-from pytensor.graph.replace import _vectorize_node
 from pytensor.tensor import TensorVariable
 from pytensor.tensor.linalg import cholesky, solve_triangular
 from pytensor.tensor.random.utils import normalize_size_param
 from scipy.optimize import linear_sum_assignment
 
 from pymc_features.ops.numba_dispatch import run_in_python
+from pymc_features.ops.population import take_batches
 
 UNMATCHED = -1e30  # stands for a log-density of -inf in sums of which the largest is sought
 IMPOSSIBLE = 1e100  # what a cost that is infinite or NaN counts as
@@ -75,12 +75,7 @@ class Assignment(Op):
         return [pt.zeros_like(inputs[0])]
 
 
-@_vectorize_node.register(Assignment)
-def vectorize_assignment(op, node, score):
-    """Assign a batch."""
-    return [op(score)]
-
-
+take_batches(Assignment)
 run_in_python(Assignment)
 
 

@@ -156,6 +156,20 @@ def without_unit_batch(x, ndim):
     return x
 
 
+def take_batches(*op_classes, first: int | None = None):
+    """Let the first inputs of Ops, by default all, have any leading dimensions; the others are without."""
+
+    def vectorize(op, node, *inputs):
+        n = len(inputs) if first is None else first
+        shared = [without_unit_batch(x, y.ndim) for x, y in zip(inputs[n:], node.inputs[n:], strict=True)]
+        if any(x.ndim != y.ndim for x, y in zip(shared, node.inputs[n:], strict=True)):
+            raise NotImplementedError(f"all inputs of {op} but the first {n} are the same for all particles")
+        return op(*inputs[:n], *shared, return_list=True)
+
+    for op_class in op_classes:
+        _vectorize_node.register(op_class)(vectorize)
+
+
 @_vectorize_node.register(StructuralComparison)
 def vectorize_comparison(op, node, *batched_inputs):
     """Batches of parameters become the population Op."""
