@@ -286,8 +286,9 @@ def test_what_says_little_is_told():
         with pytest.warns(match="short for the mode of y at 1.5 Hz with 0.1 % damping") as warned:
             pmf.AmbientResponse("y", response, **GOOD)
         assert [w.category for w in warned] == [pmf.exceptions.AmbientWarning]
+        error = pm.HalfNormal("error")  # of which the modes do not depend
         with pytest.warns(match="band 3 to 4 Hz of z has no mode .* nearest is at 1.5"):
-            pmf.AmbientResponse("z", response, **GOOD | {"bands": [3.0, 4.0]})
+            pmf.AmbientResponse("z", response, **GOOD | {"bands": [3.0, 4.0], "error": error})
 
 
 def test_histories_of_no_model():
