@@ -199,7 +199,7 @@ def variances(sigma, sd, there):
 
 
 def shape_variances(p: Parameters):
-    """Those of shapes, for each degree of freedom: the scatter of lone ones is zero."""
+    """Variances of shapes, for each degree of freedom: the scatter of lone ones is zero."""
     of_model = pt.sqr(p.sigma_phi)[..., None]
     several = pt.any(p.scatter > 0.0, axis=-1, keepdims=True)
     own = pt.switch(p.scatter > 0.0, p.scatter / p.degrees[..., None], of_model)

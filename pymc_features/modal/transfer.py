@@ -97,7 +97,7 @@ class TransferModes(NamedTuple):
         )
 
     def balanced(self) -> "TransferModes":
-        """The same with p_r and p_a of one root mean square, and the largest p_a positive."""
+        """Modes with p_r and p_a of one root mean square, and the largest p_a positive."""
         size = [np.sqrt(np.mean(x**2, axis=1, keepdims=True)) for x in (self.inputs, self.outputs)]
         largest = np.take_along_axis(self.outputs, np.abs(self.outputs).argmax(axis=1)[:, None], axis=1)
         scale = np.sqrt(size[1] / size[0]) * np.sign(largest)

@@ -84,7 +84,7 @@ def put_four_of(rows, places, k, x):
 
 @jit
 def four_from(first, size, last):
-    """Where four rows of some size begin; what would stand behind the last one repeats it."""
+    """Starts of four rows of some size; what would stand behind the last one repeats it."""
     b, c, d = min(first + 1, last), min(first + 2, last), min(first + 3, last)
     return size * first, size * b, size * c, size * d
 

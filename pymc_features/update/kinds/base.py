@@ -153,7 +153,7 @@ def table(name, section, title="", columns=(), rows=(), note="") -> dict:
 
 
 def channels_table(data, more="", base=None) -> dict:
-    """Where channels come from, what [processing] did, `more`, and how large they and the `base` are."""
+    """Source of channels, what [processing] did, `more`, and how large they and the `base` are."""
     asked, steps = data.config.processing, [f"source is {data.source}"]
     if asked.detrend is not None:
         window = asked.detrend.window

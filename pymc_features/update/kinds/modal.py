@@ -366,7 +366,7 @@ class Modal(KindOfData):
         ]
 
     def is_drawn(self, problem) -> bool:
-        """Whether it is known where the shapes are: at storeys, or nodes of a file."""
+        """Whether the places of the shapes are known: storeys, or nodes of a file."""
         return self.nodes is not None or problem.structure.has_storeys
 
     def figures_of(self, problem, part, kind):

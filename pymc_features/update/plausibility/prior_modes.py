@@ -42,7 +42,7 @@ class PriorModes(NamedTuple):
         return float(low), float(high)
 
     def at_sensors(self, dofs, quantity) -> "PriorModes":
-        """The same with shares (d, s, m) of the modes in a quantity at some degrees of freedom."""
+        """Modes with their shares (d, s, m) in a quantity at some degrees of freedom."""
         below = np.pad(self.shares, ((0, 0), (1, 0), (0, 0)))[:, :-1] * (quantity == "inter_storey_drift")
         return self._replace(shares=(self.shares - below)[:, dofs], quantity=quantity)
 
