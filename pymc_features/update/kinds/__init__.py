@@ -8,8 +8,8 @@ from pymc_features.update.kinds.ambient import Ambient
 from pymc_features.update.kinds.cyclic import Cyclic
 from pymc_features.update.kinds.events import Events
 from pymc_features.update.kinds.external import External
-from pymc_features.update.kinds.frequency_response import FrequencyResponses
 from pymc_features.update.kinds.modal import Modal
+from pymc_features.update.kinds.response_functions import FrequencyResponses
 from pymc_features.update.kinds.responses import Responses
 
 #: In the order in which they stand in a problem: the first one decides what is sampled.
