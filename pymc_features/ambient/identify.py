@@ -50,6 +50,8 @@ def identify_modes(
     With a known `excitation`, forces or motions of a base, the transforms of the channels are those of the
     excitation times the transfer functions of free modes, and of the free vibration with which the record
     begins and ends, so that it needs no window; errors have one spectral density for each channel and band.
+    No machine is taken off then, and the only warning is of bands without a mode. Modes well inside the band
+    are found without bias; of one close beside it shapes keep a part.
 
     Parameters
     ----------
@@ -91,7 +93,8 @@ def identify_modes(
     first. Modes missed and too many are counted by `python -m benchmarks --only coverage --names modes`, and
     for one record of each kind in tests/identification.
 
-    Forces act on the structure. Where the base moves as well, its motion is in all channels: take it off.
+    Forces act on the structure. Where the base moves as well, its motion is in all channels: take it off, or
+    pass it as `excitation`.
 
     The standard deviations hold for long records: of a single mode, and with many frequencies in the band,
     they follow the laws of Au (Sec. 15), for frequencies zeta / (2 pi n) of the squared coefficient of

@@ -174,9 +174,12 @@ class FrequencyResponse:
             observed=np.zeros(len(root)),
         )
         warn_at_start(name, found, observed, fit)
-        if model_error is None and fit.chi2 > POOR:
+        chi2 = (
+            fit.chi2 * float(observed["variance"].attrs.get("factor", 1.0)) if "variance" in observed else 1.0
+        )
+        if model_error is None and chi2 > POOR:
             tell(
-                f"the modes leave residuals of {name} whose mean square is {fit.chi2:.3g} times their "
+                f"the modes leave residuals of {name} whose mean square is {chi2:.3g} times their "
                 "variance: lines alone would give too narrow intervals. Leave `model_error` as it is."
             )
         return rv
@@ -211,14 +214,26 @@ def measured_modes(observed) -> MeasuredModes:
     variance = None
     if "variance" in observed:
         variance = observed["variance"].transpose("response", "reference", "frequency").values
-    numbers = {
-        key: check_number(attrs[key], key) for key in ("decay", "duration", "dt", "blow") if key in attrs
-    }
-    numbers["duration"] = numbers.get("duration", np.nan)
-    lines = Lines(f, POWERS[attrs.get("quantity", "accelerance")], **numbers)
+        if not (np.isfinite(variance) & (variance > 0.0)).all():
+            place = np.argwhere(~(np.isfinite(variance) & (variance > 0.0)))[0, :2]
+            names = [observed[dim].values[i] for dim, i in zip(("response", "reference"), place, strict=True)]
+            got = f"another one of response {names[0]!r} to {names[1]!r}"
+            raise ValueError(message("variance", "positive at all lines", got, "Leave dead channels out."))
+    if (quantity := attrs.get("quantity", "accelerance")) not in POWERS:
+        raise ValueError(message("quantity", f"one of {', '.join(POWERS)}", shown(quantity)))
+    numbers = {key: check_number(attrs[key], key) for key in ("decay", "duration", "dt") if key in attrs}
+    lines = Lines(f, POWERS[quantity], **numbers)
+    blows = observed["blow"].values if "blow" in observed else [attrs.get("blow", np.nan)] * h.shape[1]
     experiments = [
-        Experiment(np.array([r]), np.ones((1, len(f))), h[:, r], None if variance is None else variance[:, r])
-        for r in range(h.shape[1])
+        Experiment(
+            np.array([r]),
+            np.ones((1, len(f))),
+            h[:, r],
+            None if variance is None else variance[:, r],
+            0.0,
+            blow,
+        )
+        for r, blow in enumerate(map(float, blows))
     ]
     fit = fit_modes(experiments, lines, gain=GAIN)
     if not len(fit.modes.natural):
@@ -230,9 +245,9 @@ def measured_modes(observed) -> MeasuredModes:
 def placed(structure, labels, given, name: str) -> tuple[list[int], np.ndarray]:
     """Degrees of freedom of channels, and -1 for one that is measured in the opposite direction."""
     labels = [str(label) for label in labels]
-    if given is not None and (listed := as_list(given)) is not None and len(listed) != len(labels):
-        raise ValueError(message(name, f"one for each of the {len(labels)} channels", len(listed)))
-    wanted = labels if given is None else list(as_list(given))
+    wanted = labels if given is None else as_list(given)
+    if wanted is None or len(wanted) != len(labels):
+        raise ValueError(message(name, f"one for each of the {len(labels)} channels", shown(given)))
     places, signs = [], []
     known = structure.dof_names or ()
     if given is None and not known:
@@ -447,8 +462,14 @@ def warn_at_start(name, found, observed, fit: TransferFit) -> None:
         f, ratios = function(model.initial_point())
     except Exception:  # what cannot be evaluated here is no error of the user's
         return
-    if not (ratios > 0.0).all():
-        raise ValueError(message("structure", "damped in all its modes", f"ratios of {ratios.min():.3g}"))
+    if not (ratios[f > 0.0] > 0.0).all():
+        got = f"ratios of {ratios[f > 0.0].min():.3g}"
+        raise ValueError(message("structure", "damped in all modes but those of a rigid body", got))
+    if (f > 0.0).sum() < len(fit.modes.natural):
+        got = f"{len(f)}, {(f == 0.0).sum()} of them of a rigid body"
+        raise ValueError(
+            message("n_modes", f"more than {len(fit.modes.natural)}, those that were measured", got)
+        )
     low, high = observed["frequency"].values[[0, -1]]
     inside, peaks = f[(f > low) & (f < high)], fit.modes.natural / (2.0 * np.pi)
     if len(inside) != len(peaks):

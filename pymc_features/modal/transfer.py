@@ -22,7 +22,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm, t
 
 POWERS = {"accelerance": 2, "mobility": 1, "receptance": 0}
-BEYOND = -2, 0  # powers of s beside s^q of the terms for modes far below and above the lines
+BEYOND = -2, 0  # powers of s beside s^q of the terms for modes far below and above the lines,
+NEAR = -4, -3, -2, 0, 1, 2  # and in narrow bands of a record, for modes that are not so far
 RATIOS = np.geomspace(1e-5, 0.1, 13)  # of damping, among which that of a further mode is sought
 STEP = 1e-3  # of differences: of ln zeta, and of ln w in units of zeta
 STEPS, ENOUGH = 60, 1e-3  # of a fit at most, and gain of log-likelihood below which it ends,
@@ -34,8 +35,9 @@ DRIFT, LARGE = 2e-5, 1e-3  # of ln w between two references, where they do not t
 FEWEST = 3  # references that tell it
 SMOOTHED, LEAST = 40, 100  # an unknown level of errors is averaged over this part of the lines, or so many
 SAME = 0.9  # MAC of two modes that are one
-FAINT = 0.05  # of the power at its frequency: less of it belongs to no mode that is seen
-WIDEST, NARROW = 0.1, 0.1  # damping ratio, and part of the distance of lines, of what is no mode
+OTHERS = 3  # peaks that are no modes of their own, after which no more are sought
+FAINT = 0.05  # of the power in its half-power width: a mode with less of it is not seen
+WIDEST, NARROW = 0.1, 0.01  # damping ratio, and width over the distance of lines, of what is no mode
 
 
 class Lines(NamedTuple):
@@ -46,7 +48,6 @@ class Lines(NamedTuple):
     decay: float = 0.0  # of an exponential window [1/s]
     duration: float = np.inf  # of the record [s]
     dt: float = np.nan  # [s]
-    blow: float = np.nan  # instant of the blow [s]; NaN for other excitations
     decays: bool = False  # whether records neither begin nor end at rest
 
     @property
@@ -63,6 +64,7 @@ class Experiment(NamedTuple):
     response: np.ndarray  # (a, k)
     variance: np.ndarray | None = None  # E|error|^2 (a, k), None if it is not known
     drift: float = 0.0  # by which ln w of all modes is off in it
+    blow: float = np.nan  # instant of the blow [s]; NaN for other excitations
 
 
 class TransferModes(NamedTuple):
@@ -72,7 +74,7 @@ class TransferModes(NamedTuple):
     ratios: np.ndarray  # (n,)
     inputs: np.ndarray  # p_r (n, r)
     outputs: np.ndarray  # p_a (n, a)
-    rest: np.ndarray  # (a, r, 2), of the terms of `BEYOND`, over their root mean squares
+    rest: np.ndarray  # (a, r, ..), of the terms of `BEYOND` or `NEAR`, over their root mean squares
     ends: np.ndarray  # amplitudes of free decays (experiment, n, 2), of no experiment where there are none
 
     @property
@@ -119,12 +121,12 @@ class TransferFit(NamedTuple):
         return with_pseudo_inverse(self.information)
 
 
-def unit_responses(natural, ratios, lines: Lines) -> np.ndarray:
+def unit_responses(natural, ratios, lines: Lines, blow=np.nan) -> np.ndarray:
     """g (n, k) of modes of unit mass, less what a record that is cut lacks of the response to a blow."""
     w, z, s = natural[:, None], ratios[:, None], lines.s
     found = s**lines.power / (s**2 + 2.0 * z * w * s + w**2)
-    if np.isfinite(lines.blow) and np.isfinite(lines.duration):
-        rest = lines.duration - lines.blow
+    if np.isfinite(blow + lines.duration + lines.dt):
+        rest = lines.duration - blow
         rings = np.flatnonzero(ratios * natural * rest < FORGOTTEN)
         for pole in poles(w[rings], z[rings]):
             left = pole**lines.power / (2j * pole.imag) * np.exp((pole - s) * rest)
@@ -151,17 +153,22 @@ def free_decays(natural, ratios, lines: Lines) -> np.ndarray:
 
 def residual_terms(lines: Lines) -> np.ndarray:
     """Transforms (2, k), of root mean square one, of modes below and above the lines."""
-    terms = np.stack([lines.s ** float(lines.power + j) for j in BEYOND])
+    powers = NEAR if lines.decays else BEYOND
+    terms = np.stack([lines.s ** float(lines.power + j) for j in powers])
     return terms / np.sqrt(np.mean(np.abs(terms) ** 2, axis=1, keepdims=True))
 
 
-def columns_of(w, z, lines: Lines) -> np.ndarray:
-    """Responses of modes, their slopes by ln w and ln zeta, and terms for modes far away (3 n + 2, k)."""
+def columns_of(w, z, lines: Lines, blow) -> np.ndarray:
+    """Responses of modes, their slopes by ln w and ln zeta, and terms for modes far away (.., k)."""
+
+    def moved(of_w, of_z):
+        return unit_responses(w * np.exp(of_w), z * np.exp(of_z), lines, blow)
+
     of_w = STEP * z
-    by_w = unit_responses(w * np.exp(of_w), z, lines) - unit_responses(w * np.exp(-of_w), z, lines)
-    by_z = unit_responses(w, z * np.exp(STEP), lines) - unit_responses(w, z * np.exp(-STEP), lines)
-    slopes = by_w / (2.0 * of_w[:, None]), by_z / (2.0 * STEP)
-    return np.concatenate([unit_responses(w, z, lines), *slopes, residual_terms(lines)])
+    by_w, by_z = moved(of_w, 0.0) - moved(-of_w, 0.0), moved(0.0, STEP) - moved(0.0, -STEP)
+    return np.concatenate(
+        [moved(0.0, 0.0), by_w / (2.0 * of_w[:, None]), by_z / (2.0 * STEP), residual_terms(lines)]
+    )
 
 
 def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Lines, drift=0.0, gain=0.0):
@@ -172,9 +179,10 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
     """
     w, z, p_in, p_out, rest, ends = modes
     (n, n_in), n_out = p_in.shape, p_out.shape[1]
-    at, at_rest = np.arange(n), np.arange(len(BEYOND))
-    columns = {drift: columns_of(w * np.exp(drift), z, lines) for drift in {e.drift for e in experiments}}
-    n_columns = 3 * n + len(BEYOND)
+    n_rest = rest.shape[2]
+    at, at_rest, n_columns = np.arange(n), np.arange(n_rest), 3 * n + n_rest
+    kinds = {(e.drift, e.blow) for e in experiments}
+    columns = {kind: columns_of(w * np.exp(kind[0]), z, lines, kind[1]) for kind in kinds}
     width, size = 2 + n_in + n_out, n * (2 + n_in + n_out)
     first_rest, first_end = size, size + rest.size
     first_drift = first_end + ends.size
@@ -187,7 +195,9 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
         0,
     )
     for e, experiment in enumerate(experiments):
-        basis = np.concatenate([x * columns[experiment.drift] for x in experiment.excitation])
+        basis = np.concatenate(
+            [x * columns[experiment.drift, experiment.blow] for x in experiment.excitation]
+        )
         if lines.decays:
             basis = np.concatenate([basis, *free_decays(w, z, lines)])
         for a, (y, v) in enumerate(zip(experiment.response, experiment.variance, strict=True)):
@@ -195,11 +205,11 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
             for i, r in enumerate(experiment.inputs):
                 start, both = i * n_columns, p_out[:, a] * p_in[:, r]
                 of_g, of_rest = start + at, start + 3 * n
-                linear[of_g], linear[of_rest : of_rest + len(BEYOND)] = both, rest[a, r]
+                linear[of_g], linear[of_rest : of_rest + n_rest] = both, rest[a, r]
                 to[of_g, at * width + 2 + r] = p_out[:, a]
                 to[of_g, at * width + 2 + n_in + a] = p_in[:, r]
                 to[of_g + n, at * width] = to[of_g + 2 * n, at * width + 1] = both
-                to[of_rest + at_rest, first_rest + len(BEYOND) * (a * n_in + r) + at_rest] = 1.0
+                to[of_rest + at_rest, first_rest + n_rest * (a * n_in + r) + at_rest] = 1.0
                 if drift:
                     to[of_g + n, first_drift + r] = both
                 if gain:
@@ -256,18 +266,21 @@ def residuals(modes: TransferModes, experiments, lines) -> list[np.ndarray]:
     found = []
     for i, e in enumerate(experiments):
         forces = modes.inputs[:, e.inputs] @ e.excitation
-        g = unit_responses(modes.natural * np.exp(e.drift), modes.ratios, lines)
+        g = unit_responses(modes.natural * np.exp(e.drift), modes.ratios, lines, e.blow)
         rest = np.einsum("ait,tk,ik->ak", modes.rest[:, e.inputs], terms, e.excitation)
         decay = np.einsum("nj,jnk->nk", modes.ends[i], decays) if lines.decays else 0.0
         found.append(e.response - modes.outputs.T @ (forces * g + decay) - rest)
     return found
 
 
-def with_level(experiments, off, smoothed: bool) -> list[Experiment]:
+def with_level(modes, experiments, lines, smoothed: bool) -> list[Experiment]:
     """Experiments with the level of errors that residuals show: of each response, or along the lines."""
-    found = []
+    off, found = residuals(modes, experiments, lines), []
+    n_lines = 2 * sum(e.response.size for e in experiments)
+    size = modes.table.size - len(modes.natural) + modes.rest.size + modes.ends.size
+    free = max(0.5, 1.0 - size / n_lines)
     for e, rest in zip(experiments, off, strict=True):
-        power = np.abs(rest) ** 2
+        power = np.abs(rest) ** 2 / free
         level = np.mean(power, axis=1, keepdims=True)
         if smoothed:
             size = max(LEAST, power.shape[1] // SMOOTHED)
@@ -277,12 +290,12 @@ def with_level(experiments, off, smoothed: bool) -> list[Experiment]:
     return found
 
 
-def further_mode(modes: TransferModes, experiments, lines) -> TransferModes | None:
-    """Modes with one more, which takes most of what they leave; None where nothing is left."""
+def further_mode(modes: TransferModes, experiments, lines, passed) -> TransferModes:
+    """Modes with one more, which takes most of what they leave at lines that are not passed by (k,)."""
     off = residuals(modes, experiments, lines)
     weights = [2.0 / e.variance for e in experiments]
     power = sum((w * np.abs(x) ** 2).sum(axis=0) for w, x in zip(weights, off, strict=True))
-    peak = int(power.argmax())
+    peak = int(np.where(passed, 0.0, power).argmax())
     low, high = np.interp([peak - 1, peak + 1], np.arange(len(power)), lines.frequencies)
     w, z = (x.ravel() for x in np.meshgrid(2.0 * np.pi * np.linspace(low, high, 9), RATIOS))
     g = unit_responses(w, z, lines)
@@ -301,27 +314,34 @@ def further_mode(modes: TransferModes, experiments, lines) -> TransferModes | No
     return TransferModes(*table, modes.rest, np.pad(modes.ends, ((0, 0), (0, 1), (0, 0)))).balanced()
 
 
-def are_seen(modes: TransferModes, experiments, lines: Lines) -> np.ndarray:
-    """Whether each mode is a peak among the lines (n,); the others stand for what is beside, or are noise."""
+def are_seen(modes: TransferModes, experiments, lines: Lines, widest=WIDEST) -> np.ndarray:
+    """Whether each mode is a peak among the lines (n,); the others stand for what is beside, or are noise.
+
+    A peak has a share of the power in its half-power width, in units of the variance of each response.
+    """
     f, (low, high) = modes.natural / (2.0 * np.pi), lines.frequencies[[0, -1]]
-    narrow = 2.0 * modes.ratios * f < NARROW * np.min(np.diff(lines.frequencies))
-    at = np.abs(lines.frequencies - f[:, None]).argmin(axis=1)
-    g = unit_responses(modes.natural, modes.ratios, lines)[np.arange(len(f)), at]
-    power, whole = np.zeros(len(f)), np.zeros(len(f))
+    step, off = np.min(np.diff(lines.frequencies)), np.abs(lines.frequencies - f[:, None])
+    inside = off <= np.maximum(modes.ratios * f, off.min(axis=1))[:, None]
+    own, whole = np.zeros(len(f)), np.zeros(len(f))
     for e in experiments:
-        forces = np.einsum("ni,in->n", modes.inputs[:, e.inputs], e.excitation[:, at])
-        power += np.abs(g * forces) ** 2 * np.sum(modes.outputs**2, axis=1)
-        whole += np.sum(np.abs(e.response[:, at]) ** 2, axis=0)
-    return (low < f) & (f < high) & (modes.ratios < WIDEST) & ~narrow & (power > FAINT * whole)
+        g = unit_responses(modes.natural * np.exp(e.drift), modes.ratios, lines, e.blow)
+        parts = g * (modes.inputs[:, e.inputs] @ e.excitation)
+        weights = (1.0 if e.variance is None else 1.0 / e.variance) * np.ones(e.response.shape)
+        own += np.sum(inside * np.abs(parts) ** 2 * (modes.outputs**2 @ weights), axis=1)
+        whole += inside @ np.sum(weights * np.abs(modes.outputs.T @ parts) ** 2, axis=0)
+    is_peak = (2.0 * modes.ratios * f > NARROW * step) & (modes.ratios < widest) & (own > FAINT * whole)
+    return (low < f) & (f < high) & is_peak
 
 
-def is_double(modes: TransferModes, number: int) -> bool:
-    """Whether a mode is another one once more."""
-    f, shape = modes.natural / (2.0 * np.pi), modes.outputs[number]
-    others = np.arange(len(f)) != number
-    near = np.abs(f - f[number]) < 2.0 * (modes.ratios + modes.ratios[number]) * f[number]
-    mac = (modes.outputs @ shape) ** 2 / np.sum(modes.outputs**2, axis=1) / (shape @ shape)
-    return bool(np.any(others & near & (mac > SAME)))
+def is_double(modes: TransferModes, same: float) -> bool:
+    """Whether the last mode is another one once more."""
+    f, z = modes.natural, modes.ratios
+    near = np.abs(f - f[-1]) < 2.0 * (z + z[-1]) * f[-1]
+    mac = np.ones(len(f))
+    for x in (modes.inputs, modes.outputs):
+        mac *= (x @ x[-1]) ** 2 / np.sum(x**2, axis=1) / (x[-1] @ x[-1])
+    are_told_apart = modes.inputs.shape[1] > 1 or modes.outputs.shape[1] > 1
+    return are_told_apart and bool(np.any((near & (mac > same))[:-1]))
 
 
 @np.errstate(all="ignore")  # a step may lead anywhere; it is taken where the likelihood is a larger number
@@ -340,50 +360,72 @@ def fit_modes(
         np.zeros(0),
         np.zeros(0),
         *none,
-        np.zeros((n_out, n_in, len(BEYOND))),
+        np.zeros((n_out, n_in, len(NEAR if lines.decays else BEYOND))),
         np.zeros((len(experiments) * lines.decays, 0, 2)),
     )
 
-    def fitted(modes, smoothed=False):
+    def fitted(modes, experiments, smoothed=False):
         known = experiments
         if unknown:
-            known = with_level(experiments, residuals(modes, experiments, lines), smoothed)
+            known = with_level(modes, experiments, lines, smoothed)
         modes, here = climbed(modes, known, lines, ENOUGH if smoothed else ROUGHLY)
         if unknown:  # the likelihood with the level that is left
-            left = with_level(experiments, residuals(modes, experiments, lines), smoothed)
+            left = with_level(modes, experiments, lines, smoothed)
             here, known = quadratic(modes, left, lines), left
         return modes, here, known
 
-    modes, here, known = fitted(modes)
+    modes, here, known = fitted(modes, experiments)
     charge = (
         0.5 * (1 + n_in + n_out + 2 * lines.decays) * np.log(2.0 * sum(e.response.size for e in experiments))
     )
     charge += np.log(len(lines.frequencies))  # for any of them a mode may be at
     drift, is_told = 0.0, len(experiments) == n_in > 1
-    for _ in range(1 + is_told):  # where references drift apart, that hides what else there is
-        while len(modes.natural) < MOST and are_seen(modes, experiments, lines).sum() < (n_modes or MOST):
-            more, there, of_more = fitted(further_mode(modes, known, lines))
-            if unknown:
-                more, there, of_more = fitted(more)
-            is_better = there[0] - here[0] > charge and not is_double(more, len(more.natural) - 1)
-            if n_modes is None and not is_better:
-                break
+    widest = WIDEST if n_modes is None else np.inf
+
+    def with_drifts(smoothed):
+        """What references have that drift apart, and how far they do."""
+        scale, shifts = drifts(modes, known, lines)
+        moved = [e._replace(drift=shift) for e, shift in zip(experiments, shifts, strict=True)]
+        return scale, moved, fitted(modes, moved, smoothed)
+
+    passed, n_others = np.zeros(len(lines.frequencies), dtype=bool), 0
+    while n_others < OTHERS and len(modes.natural) < MOST and not passed.all():
+        if are_seen(modes, known, lines, widest).sum() == n_modes:
+            break
+        more, there, of_more = fitted(further_mode(modes, known, lines, passed), experiments)
+        if unknown:
+            more, there, of_more = fitted(more, experiments)
+        if not (there[0] - here[0]) / max(1.0, there[1]) > charge:  # in units of what is left
+            break
+        if is_told and is_double(more, 0.0):  # references that drift apart split a peak as close modes do
+            _, moved, (apart, instead, of_apart) = with_drifts(False)
+            if instead[0] > there[0]:
+                experiments, modes, here, known = moved, apart, instead, of_apart
+                continue
+        f = more.natural[-1] / (2.0 * np.pi)
+        off = np.abs(lines.frequencies - f)
+        is_inside = lines.frequencies[0] < f < lines.frequencies[-1]
+        is_seen = are_seen(more, of_more, lines, widest)[-1]
+        if n_modes is None and is_double(more, SAME if is_seen else 0.0):  # a misfit that its twin leaves
+            passed |= off <= max(4.0 * more.ratios[-1] * f, off.min())
+            n_others += 1
+        else:
             modes, here, known = more, there, of_more
-        for _ in range(3 if unknown else 1):
-            modes, here, known = fitted(modes, smoothed=True)
-        if is_told:
-            drift, shifts = drifts(modes, known, lines)
-            experiments = [e._replace(drift=shift) for e, shift in zip(experiments, shifts, strict=True)]
-            modes, here, known = fitted(modes, smoothed=True)
-    order = np.lexsort([modes.natural, ~are_seen(modes, experiments, lines)])
+            n_others += is_inside and not is_seen
+    for _ in range(3 if unknown else 1):
+        modes, here, known = fitted(modes, experiments, True)
+    if is_told:
+        drift, experiments, (modes, here, known) = with_drifts(True)
+    seen = are_seen(modes, known, lines, widest)
+    order = np.lexsort([modes.natural, ~seen])
     modes = TransferModes(*(x[order] for x in modes[:4]), modes.rest, modes.ends[:, order]).balanced()
     log_likelihood, chi2, gradient, information = quadratic(modes, known, lines, drift, gain)
-    n, k = are_seen(modes, experiments, lines).sum(), modes.table.shape[1]
+    n, k = seen.sum(), modes.table.shape[1]
     score, information = without_rest(gradient, information, n * k)
     step = with_pseudo_inverse(information) @ score  # what drifts and sensitivities that differ move
     table = modes.table[:n] + step.reshape(n, k)
     modes = TransferModes(*np.exp(table[:, :2].T), *np.split(table[:, 2:], [n_in], axis=1), *modes[4:])
-    return TransferFit(modes, information, log_likelihood, chi2)
+    return TransferFit(modes, without_scale(information, modes), log_likelihood, chi2)
 
 
 def drifts(modes: TransferModes, experiments, lines) -> tuple[float, np.ndarray]:
@@ -413,7 +455,21 @@ def without_rest(gradient, information, size: int) -> tuple[np.ndarray, np.ndarr
 
 
 def with_pseudo_inverse(information) -> np.ndarray:
-    """Covariance of an information; zero along what it knows nothing of, the scale of p_r against p_a."""
-    scale = np.sqrt(np.diag(information))
+    """Covariance of an information; zero along what it knows nothing of."""
+    scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale = np.where(scale > 0.0, scale, 1.0)
-    return np.linalg.pinv(information / np.outer(scale, scale), UNKNOWN, True) / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    known = values > UNKNOWN * values.max(initial=0.0)
+    root = vectors[:, known] / np.sqrt(values[known]) / scale[:, None]
+    return root @ root.T
+
+
+def without_scale(information, modes: TransferModes) -> np.ndarray:
+    """Information on q without the scale of p_r against p_a, of which there is none but by rounding."""
+    n, k = modes.table.shape
+    along = np.concatenate([modes.inputs, -modes.outputs], axis=1)
+    apart = np.zeros((n, k, n))
+    apart[np.arange(n), 2:, np.arange(n)] = along / np.linalg.norm(along, axis=1, keepdims=True)
+    apart = apart.reshape(n * k, n)
+    left = np.eye(n * k) - apart @ apart.T
+    return left @ information @ left

@@ -42,6 +42,7 @@ DIMS = "reference", "blow", "response", "time"
 HIT, SHORT = 0.1, 0.1  # of the peak of a force, above what filters ring; of a record, at most, is a blow
 LINES = 100  # averages times lines for a variance, which has an error of 10 %
 STEPS, LEAST = 10, 1e-3  # in which weights of blows settle; level of a blow, at least, of the mean
+MANY = 5  # blows, of which each can be weighed: with three, variances would be a third too small
 RANK, ROUNDING = 1e-6, 1e-24  # least eigenvalue of S_xx of unit powers; power that is none, of the largest
 HANN = 35.0 / 18.0, 1.0 / 36.0  # mean(w^4) / mean(w^2)^2; squared correlation of windows half over each other
 
@@ -92,7 +93,7 @@ def frequency_response(
         `frequency_response`, complex; of more averages than references at a time also `variance`, E|error|^2,
         and `coherence`, the multiple one of several references. `attrs`: `quantity`, `excitation`, `units`,
         `n_averages`, the least of a reference, `duration` of a record or segment [s], `dt` [s], `decay` [1/s]
-        and `blow`, the centroid of the blow [s], NaN where there is none.
+        and `blow`, the centroid of the blow [s], NaN where there is none; the coordinate `blow` has each.
 
     Raises
     ------
@@ -166,13 +167,18 @@ def frequency_response(
         X, Y = (_spectra(values[k, used], window)[..., lines] for values in (forces, motions))
         counts.append(len(X))
         estimates.append(_estimate(X, Y, frequency[lines], method, factor, overlap, setups[k]))
+    instants = np.full(len(setups), np.nan)
     if is_blow:
-        pulses = np.abs(forces * loud)[there]
-        blow = float(step * (pulses @ np.arange(n_times) / pulses.sum(-1)).mean())
+        pulses = np.abs(forces * loud)[:, :, 0]
+        at = step * (pulses @ np.arange(n_times) / np.maximum(pulses.sum(-1), np.finfo(float).tiny))
+        instants = np.array([row[used].mean() for row, used in zip(at, there, strict=True)])
+        blow = float(instants.mean())
     H, *rest = (np.concatenate(parts, axis=1) for parts in zip(*estimates, strict=True))
     facts = {"n_averages": min(counts), "duration": float(n_used * step)}
     facts |= {"dt": step, "decay": decay, "blow": blow}
     data = dataset(H, labels, frequency[lines], pair, **facts)
+    if is_blow:
+        data = data.assign_coords(blow=("reference", instants, {"units": "s"}))
     if min(counts) > forces.shape[2]:
         dims = data["frequency_response"].dims
         data["variance"], data["coherence"] = (dims, rest[0], {"factor": float(factor)}), (dims, rest[1])
@@ -292,7 +298,7 @@ def _estimate(X, Y, f, method, factor, overlap, place) -> tuple[np.ndarray, ...]
     overlap = 1.0 + 2.0 * overlap * (n - 1) / max(n, 1)  # by which segments are fewer
     rest, weights = max(n - m * overlap, 1e-9), np.ones((n, Y.shape[1]))
     width = min(int(np.ceil(LINES * factor / rest)), n_lines)
-    for ahead in range(STEPS if n > m + 1 and overlap == 1.0 and width < n_lines else 0, -1, -1):
+    for ahead in range(STEPS if n >= MANY and overlap == 1.0 and width < n_lines else 0, -1, -1):
         inverse = np.einsum("np,nal,nbl->plab", weights, X, X.conj(), optimize=True)
         inverse = np.linalg.inv(inverse) if m > 1 else 1.0 / inverse  # a hundred times as fast
         H = np.einsum("np,npl,nal,plab->pbl", weights, Y, X.conj(), inverse, optimize=True)
@@ -303,7 +309,7 @@ def _estimate(X, Y, f, method, factor, overlap, place) -> tuple[np.ndarray, ...]
             fit = np.einsum("np,nal,plab,nbl->npl", weights, X.conj(), inverse, X, optimize=True).real
             level = residual / np.maximum(noise * (1.0 - fit), np.finfo(float).tiny)
             weights = 1.0 / np.maximum(level.mean(-1), LEAST)
-    total = np.einsum("np,npl->pl", weights, np.abs(Y) ** 2)[:, None]
+    total = np.maximum(np.einsum("np,npl->pl", weights, np.abs(Y) ** 2), np.finfo(float).tiny)[:, None]
     coherence = np.broadcast_to(1.0 - unexplained[:, None] / total, H.shape)
     shape, noise = np.einsum("plaa->pal", inverse).real, noise[:, None]
     if method != "H1":  # noise that is smooth in the excitation, or relative to the function
