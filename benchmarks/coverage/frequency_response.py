@@ -184,6 +184,7 @@ CASES = {  # how the truth is drawn, record [s], decay [1/s], padding, drift, wh
     "errors of modes, 2 s": ("modes", 2.0, 0.0, 1, 0.0, True),
     "errors of modes, 4 s": ("modes", 4.0, 0.0, 1, 0.0, True),
     "errors of modes, 8 s": ("modes", 8.0, 0.0, 1, 0.0, True),
+    "errors of modes, lines alone": ("modes", 2.0, 0.0, 1, 0.0, False),
     "a mass": ("mass", 2.0, 0.0, 1, 0.0, True),
     "a spring": ("spring", 2.0, 0.0, 1, 0.0, True),
     "window to 5 %, lines alone": ("right", 2.0, 1.5, 1, 0.0, False),

