@@ -207,30 +207,28 @@ def test_draws_have_the_covariance_of_the_likelihood(model, data):
 
 
 @pytest.mark.statistical
+@pytest.mark.slow
 def test_resolution_does_not_narrow_the_posterior():
-    """It holds the truth and is as wide, within 15 %, from every fourth line. Control: by lines alone not."""
-    errors = {"sigma_f": 0.005, "sigma_zeta": 0.05, "sigma_phi": 0.02}
-    ratios = []
-    for settings in (errors, {"model_error": None}):
-        sds = []
-        for every in (1, 4):
-            data = measured(0.03).isel(frequency=slice(None, None, every))
-            with declare(data, **settings):
-                idata = pmf.sample(draws=300, chains=2, random_seed=1, progressbar=False)
-            theta = idata["posterior"]["theta"].values.reshape(-1, 2)
-            sds.append(theta.std(axis=0))
-            assert np.all(np.abs(theta.mean(axis=0) - 1.0) < 4.0 * sds[-1])
-        ratios.append(np.max(np.abs(np.log(sds[1] / sds[0]))))
-    assert ratios[0] < 0.15 < ratios[1]
+    """It holds the truth, and is as wide, within 15 %, from every fourth line. Control: what the lines say."""
+    errors, sds, of_lines = {"sigma_f": 0.005, "sigma_zeta": 0.05, "sigma_phi": 0.02}, [], []
+    for every in (1, 4):
+        data = measured(0.03).isel(frequency=slice(None, None, every))
+        of_lines.append(np.sqrt(measured_modes(data).fit.covariance[0, 0]))
+        with declare(data, **errors):
+            idata = pmf.sample(draws=300, chains=2, random_seed=1, progressbar=False)
+        theta = idata["posterior"]["theta"].values.reshape(-1, 2)
+        sds.append(theta.std(axis=0))
+        assert np.all(np.abs(theta.mean(axis=0) - 1.0) < 4.0 * sds[-1])
+    assert np.max(np.abs(np.log(sds[1] / sds[0]))) < 0.15 < np.log(of_lines[1] / of_lines[0])
 
 
 @pytest.mark.statistical
 @pytest.mark.slow
 def test_coverage():
-    """Intervals of 12 tests of modes with errors hold 80 % (false alarms 1e-3). Control: lines alone."""
-    inside = [one("errors of modes, 2 s", seed)[0] for seed in range(12)]
-    assert np.mean(inside) > 0.8
-    assert np.mean([one("errors of modes, lines alone", seed)[0] for seed in range(3)]) < 0.4
+    """Intervals of 6 tests of modes with errors hold 70 % (false alarms 1e-3). Control: lines alone."""
+    inside = [one("errors of modes, 2 s", seed)[0] for seed in range(6)]
+    assert np.mean(inside) > 0.7
+    assert np.mean([one("errors of modes, lines alone", seed)[0] for seed in range(2)]) < 0.4
 
 
 def test_a_record_that_is_cut():
@@ -294,7 +292,7 @@ def test_a_measured_beam(data_dir):
         f, h = found["frequency"], found["accelerance"]
     x = (np.array([0.1, 0.25, 0.375, 0.5, 0.65, 0.8, 0.925, 1.05, 1.2]) - 0.01) / 1.287
     fits = []
-    for every in (4, 8):
+    for every in (8, 16):
         coords = {"response": ["4"], "reference": [str(i) for i in range(9)], "frequency": f[::every]}
         attrs = {"quantity": "accelerance", "excitation": "force"}
         lines = xr.Dataset({"frequency_response": (list(coords), h[None, :, ::every])}, coords, attrs)
@@ -308,7 +306,7 @@ def test_a_measured_beam(data_dir):
         assert (free @ shape) ** 2 / (free @ free) / (shape @ shape) > 0.985
     sds = [np.sqrt(np.diag(fit.covariance)).reshape(4, -1)[:, 0] for fit in fits]
     np.testing.assert_allclose(sds[1], sds[0], rtol=0.2)
-    assert np.all(np.abs(np.log(fits[1].modes.natural / fits[0].modes.natural)) < 1.5 * sds[0])
+    assert np.all(np.abs(np.log(fits[1].modes.natural / fits[0].modes.natural)) < 2.0 * sds[0])
 
 
 def test_what_does_not_fit_is_named(data):
