@@ -209,7 +209,7 @@ def test_draws_have_the_covariance_of_the_likelihood(model, data):
 @pytest.mark.statistical
 @pytest.mark.slow
 def test_resolution_does_not_narrow_the_posterior():
-    """It holds the truth, and is as wide, within 15 %, from every fourth line. Control: what the lines say."""
+    """It holds the truth, and is as wide, within 15 %, from every fourth line. Control: the lines alone."""
     errors, sds, of_lines = {"sigma_f": 0.005, "sigma_zeta": 0.05, "sigma_phi": 0.02}, [], []
     for every in (1, 4):
         data = measured(0.03).isel(frequency=slice(None, None, every))
