@@ -13,6 +13,6 @@ from pymc_features.update.kinds.response_functions import FrequencyResponses
 from pymc_features.update.kinds.responses import Responses
 
 #: In the order in which they stand in a problem: the first one decides what is sampled.
-KINDS_OF_DATA = (External, Cyclic, Ambient, Events, Responses, FrequencyResponses, Modal)
+KINDS_OF_DATA = (FrequencyResponses, External, Cyclic, Ambient, Events, Responses, Modal)
 #: All likelihoods by name. The place of one is part of its seed.
 KINDS = LIKELIHOODS | {entry.name: entry for kind in reversed(KINDS_OF_DATA) for entry in kind.own}
