@@ -27,11 +27,11 @@ from pymc_features.modal.matching import Assignment
 from pymc_features.modal.structural_modes import modes
 from pymc_features.modal.transfer import (
     POWERS,
-    UNKNOWN,
     Experiment,
     Lines,
     TransferFit,
     fit_modes,
+    known_directions,
     without_rest,
 )
 from pymc_features.ops import as_tensor
@@ -70,7 +70,7 @@ class FrequencyResponse:
     name : str
         Of the variable.
     structure : Structure
-        Its parameters may be random variables; it must be damped.
+        Its parameters may be random variables; modes but those of a rigid body must be damped.
     observed : Dataset
         What `io.read_frequency_response` or `signals.frequency_response` returned. Choose a band by
         ``observed.sel(frequency=slice(low, high))``; what modes beside it do to the lines is in the fit, and
@@ -91,8 +91,8 @@ class FrequencyResponse:
     Returns
     -------
     TensorVariable (component,)
-        Misfit of the modes in standard deviations of the lines, along the directions that these know of: an
-        `pymc.MvNormal`, whose observed value is zero.
+        Misfit of the modes in standard deviations of the lines, along the directions that these know of:
+        normal, observed as zero.
 
     Raises
     ------
@@ -108,8 +108,10 @@ class FrequencyResponse:
     Notes
     -----
     Where a record is cut after a blow, what it lacks is in the fit; an exponential window is, too, for H is
-    evaluated at decay + 2 pi i f. Frequencies may drift by 2e-5 from one reference to the next, and
-    sensitivities differ by 1 %. Without variances the level of errors is that of the residuals.
+    evaluated at decay + 2 pi i f. Sensitivities may differ by 1 %, and frequencies drift from one reference
+    to the next: by 2e-5, or as three references and more show. Without variances the level of errors is that
+    of the residuals. Hann segments broaden peaks, which is not in the fit: make them long (see
+    `signals.frequency_response`). A mode of 10 % damping or more is taken for what is beside the lines.
 
     An evaluation takes the modes of the structure and a matrix of the size of q, whatever the number of
     lines. Coverage: ``python -m benchmarks --only coverage --names "frequency response"``.
@@ -276,10 +278,8 @@ def standardised(fit: TransferFit, is_force: bool):
     information = information[np.ix_(both := np.r_[kept, rest], both)]
     if rest.size:
         _, information = without_rest(np.zeros(n * k), information, kept.size)
-    q_0, scale = fit.modes.table[:, order], np.sqrt(np.diag(information))
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    knows = values > UNKNOWN * values.max()
-    root = (vectors[:, knows] * np.sqrt(values[knows])).T * scale
+    q_0, (values, vectors, scale) = fit.modes.table[:, order], known_directions(information)
+    root = (vectors * np.sqrt(values)).T * scale
     n_out = fit.modes.outputs.shape[1]
     sizes = np.concatenate(
         [

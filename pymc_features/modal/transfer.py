@@ -2,11 +2,12 @@
 
 At s = decay + 2 pi i f, the response a to inputs X_r is
 
-    Y_a = sum_n p_na sum_r p_nr X_r g_n + sum_r (c_ar + d_ar s^2) s^(q - 2) X_r,
+    Y_a = sum_n p_na sum_r p_nr X_r g_n + sum_r sum_j c_arj s^(q + j) X_r,
     g_n = s^q / (s^2 + 2 zeta_n w_n s + w_n^2),
 
-with q = 2 for accelerations, 1 for velocities, 0 for displacements. The real c and d stand for modes far
-below and above the lines; they follow from the lines, and are integrated out, as are modes beside the lines.
+with q = 2 for accelerations, 1 for velocities, 0 for displacements. The real c stand for modes far below and
+above the lines (j of `BEYOND` and `NEAR`); they follow from the lines, and are integrated out, as are modes
+beside the lines.
 What a record that is cut at T lacks of a response to a blow is subtracted in closed form; of a record that
 neither begins nor ends at rest each mode has a free decay more, whose two amplitudes are fitted.
 
@@ -117,7 +118,7 @@ class TransferFit(NamedTuple):
 
     @property
     def covariance(self) -> np.ndarray:
-        """That of q; the scale of p_r against p_a, of which the lines know nothing, has none."""
+        """Covariance of q; the scale of p_r against p_a, of which the lines know nothing, has none."""
         return with_pseudo_inverse(self.information)
 
 
@@ -152,7 +153,7 @@ def free_decays(natural, ratios, lines: Lines) -> np.ndarray:
 
 
 def residual_terms(lines: Lines) -> np.ndarray:
-    """Transforms (2, k), of root mean square one, of modes below and above the lines."""
+    """Transforms (j, k), of root mean square one, of modes below and above the lines."""
     powers = NEAR if lines.decays else BEYOND
     terms = np.stack([lines.s ** float(lines.power + j) for j in powers])
     return terms / np.sqrt(np.mean(np.abs(terms) ** 2, axis=1, keepdims=True))
@@ -187,13 +188,8 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
     first_rest, first_end = size, size + rest.size
     first_drift = first_end + ends.size
     total = first_drift + (n_in if drift else 0) + (n_in + n_out if gain else 0)
-    information, gradient, log_likelihood, square, count = (
-        np.zeros((total, total)),
-        np.zeros(total),
-        0.0,
-        0.0,
-        0,
-    )
+    information, gradient = np.zeros((total, total)), np.zeros(total)
+    log_likelihood = square = count = 0
     for e, experiment in enumerate(experiments):
         basis = np.concatenate(
             [x * columns[experiment.drift, experiment.blow] for x in experiment.excitation]
@@ -276,9 +272,9 @@ def residuals(modes: TransferModes, experiments, lines) -> list[np.ndarray]:
 def with_level(modes, experiments, lines, smoothed: bool) -> list[Experiment]:
     """Experiments with the level of errors that residuals show: of each response, or along the lines."""
     off, found = residuals(modes, experiments, lines), []
-    n_lines = 2 * sum(e.response.size for e in experiments)
-    size = modes.table.size - len(modes.natural) + modes.rest.size + modes.ends.size
-    free = max(0.5, 1.0 - size / n_lines)
+    n_numbers = 2 * sum(e.response.size for e in experiments)
+    n_fitted = modes.table.size - len(modes.natural) + modes.rest.size + modes.ends.size
+    free = max(0.5, 1.0 - n_fitted / n_numbers)
     for e, rest in zip(experiments, off, strict=True):
         power = np.abs(rest) ** 2 / free
         level = np.mean(power, axis=1, keepdims=True)
@@ -449,19 +445,24 @@ def drifts(modes: TransferModes, experiments, lines) -> tuple[float, np.ndarray]
 def without_rest(gradient, information, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and information of the first unknowns, with the others integrated out."""
     across = information[:size, size:] @ with_pseudo_inverse(information[size:, size:])
-    return gradient[:size] - across @ gradient[size:], information[:size, :size] - across @ information[
-        size:, :size
-    ]
+    left = information[:size, :size] - across @ information[size:, :size]
+    return gradient[:size] - across @ gradient[size:], left
 
 
 def with_pseudo_inverse(information) -> np.ndarray:
     """Covariance of an information; zero along what it knows nothing of."""
+    values, vectors, scale = known_directions(information)
+    root = vectors / np.sqrt(values) / scale[:, None]
+    return root @ root.T
+
+
+def known_directions(information) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values (d,), V (k, d) and scale (k,) with information = V diag(values) V' times scale to both sides."""
     scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     known = values > UNKNOWN * values.max(initial=0.0)
-    root = vectors[:, known] / np.sqrt(values[known]) / scale[:, None]
-    return root @ root.T
+    return values[known], vectors[:, known], scale
 
 
 def without_scale(information, modes: TransferModes) -> np.ndarray:
