@@ -12,6 +12,7 @@ from benchmarks.coverage.errors import ERRORS
 from benchmarks.coverage.events import run_events
 from benchmarks.coverage.frequency_response import run_frequency_response
 from benchmarks.coverage.identified import run_identified
+from benchmarks.coverage.known_input import run_known_input
 from benchmarks.coverage.model_errors import run_model_errors, run_records
 from benchmarks.coverage.modes import run_modes
 from benchmarks.coverage.steps import run_steps
@@ -31,6 +32,7 @@ PARTS = {
     "gaps and records": run_records,
     "cyclic": run_cyclic,
     "frequency response": run_frequency_response,
+    "known input": run_known_input,
 }
 NAMES = (*PARTS, *ERRORS)
 

@@ -62,8 +62,32 @@ class HammerTest(NamedTuple):
     centroids: np.ndarray  # of the blows [s]
 
 
+def blow(t, start, length, size, pole, rings):
+    """Force (time,) of a blow of cos^4 shape, and what modes with such poles, of unit mass, accelerate by.
+
+    The acceleration is the imaginary part of what is returned (mode, time), in closed form; `rings` is
+    exp(pole t).
+    """
+    turn = 2.0 * np.pi / length
+    rates = 1j * turn * np.array([0.0, 1.0, -1.0, 2.0, -2.0])
+    weights = size * np.array([0.375, -0.25, -0.25, 0.0625, 0.0625])[:, None] / (rates[:, None] - pole)
+    first, last = np.searchsorted(t, [start, start + length])
+    inside = t[first:last] - start
+    force, follows = np.zeros(t.size), np.zeros((pole.size, t.size), complex)
+    force[first:last] = size * (0.5 - 0.5 * np.cos(turn * inside)) ** 2
+    follows[:, first:last] = np.einsum(
+        "pm,pmt->mt",
+        weights,
+        rates[:, None, None] ** 2 * np.exp(rates[:, None] * inside)[:, None]
+        - (pole**2)[:, None] * np.exp(np.outer(pole, inside)),
+    )
+    ends = np.sum(weights * (np.exp(rates * length)[:, None] - np.exp(pole * length)), axis=0)
+    follows[:, last:] = (ends * pole**2 * np.exp(-pole * (start + length)))[:, None] * rings[:, last:]
+    return force, follows / pole.imag[:, None]
+
+
 def hammer_test(modes, ratios, duration, rng, drift=0.0) -> HammerTest:
-    """Blows of cos^4 shape, some 2 ms long; each mode follows in closed form, with noise added in time."""
+    """Blows some 2 ms long; each mode follows in closed form, with noise added in time."""
     n = round(duration * RATE)
     t = np.arange(n) / RATE
     force = np.zeros((len(HITS), BLOWS, n))
@@ -72,33 +96,16 @@ def hammer_test(modes, ratios, duration, rng, drift=0.0) -> HammerTest:
     for r, point in enumerate(HITS):
         w, deflections = modes[0] * np.exp(drift * rng.standard_normal()), modes[1]
         pole = -ratios * w + 1j * w * np.sqrt(1.0 - ratios**2)
-        rings = np.exp(np.outer(t, pole))
-        gains = deflections[point] / pole.imag
+        rings = np.exp(np.outer(pole, t))
         for j in range(BLOWS):
             length, start, size = (
                 rng.uniform(1.8e-3, 2.2e-3),
                 BEFORE + rng.uniform(0.0, 1.0 / RATE),
                 rng.uniform(0.5, 1.5),
             )
-            turn = 2.0 * np.pi / length
-            rates = 1j * turn * np.array([0.0, 1.0, -1.0, 2.0, -2.0])
-            parts = size * np.array([0.375, -0.25, -0.25, 0.0625, 0.0625])
-            first, last = np.ceil(np.array([start, start + length]) * RATE).astype(int)
-            inside = t[first:last] - start
-            force[r, j, first:last] = size * (0.5 - 0.5 * np.cos(turn * inside)) ** 2
+            force[r, j], follows = blow(t, start, length, size, pole, rings)
+            acceleration[r, j] = (deflections[SENSORS] * deflections[point]) @ follows.imag
             centroids[r, j] = start + 0.5 * length
-            weights = parts[:, None] / (rates[:, None] - pole)
-            during = np.einsum(
-                "pm,pmt->mt",
-                weights,
-                rates[:, None, None] ** 2 * np.exp(rates[:, None] * inside)[:, None]
-                - (pole**2)[:, None] * np.exp(np.outer(pole, inside)),
-            )
-            ends = np.sum(weights * (np.exp(rates * length)[:, None] - np.exp(pole * length)), axis=0)
-            after = ends * pole**2 * np.exp(-pole * (start + length))
-            at = deflections[SENSORS] * gains
-            acceleration[r, j, :, first:last] = (at @ during).imag
-            acceleration[r, j, :, last:] = ((at * after) @ rings[last:].T).imag
     early = acceleration[..., : round(2.0 * RATE)]
     level = NOISE * np.sqrt(np.mean(early**2, axis=(0, 1, 3)))
     acceleration += level[:, None] * rng.standard_normal(acceleration.shape)

@@ -50,8 +50,9 @@ def identify_modes(
     With a known `excitation`, forces or motions of a base, the transforms of the channels are those of the
     excitation times the transfer functions of free modes, and of the free vibration with which the record
     begins and ends, so that it needs no window; errors have one spectral density for each channel and band.
-    No machine is taken off then, and the only warning is of bands without a mode. Modes well inside the band
-    are found without bias; of one close beside it shapes keep a part.
+    No machine is taken off then, and the only warning is of bands without a mode. What modes of one band move
+    in another is taken off there; modes that lie in no band may leave a part of their motion in the shapes of
+    neighbours.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def identify_modes(
     -------
     ModalData
         Modes by ascending frequency, with `frequency_sd`, `damping_ratios`, `damping_sd` and `shape_sd`;
-        shapes have length one.
+        shapes have length one. With an `excitation` also `participation` and its standard deviations.
 
     Raises
     ------
@@ -157,16 +158,22 @@ def with_excitation(channels, excitation, bands, n_modes, quantity) -> ModalData
         if not rows:
             tell_of_empty(band)
         found += rows
-    return identified(found, channels)
+    return identified(found, channels, excitation)
 
 
-def identified(found: list[tuple], channels) -> ModalData:
+def identified(found: list[tuple], channels, excitation=None) -> ModalData:
     """The modes that all bands have."""
     if not found:
         advice = "Look at the spectra, and pass bands around their peaks."
         raise ValueError(message("bands", "bands with modes", "none with any", advice))
     found = each_once(found)
-    natural, ratios, shapes, frequency_sd, damping_sd, shape_sd = map(np.array, zip(*found, strict=True))
+    natural, ratios, shapes, frequency_sd, damping_sd, shape_sd, *rest = map(
+        np.array, zip(*found, strict=True)
+    )
+    of_inputs = {}
+    if excitation is not None:
+        names = [str(name) for name in excitation["sensor"].values]
+        of_inputs = {"inputs": names, "participation": rest[0], "participation_sd": rest[1]}
     return ModalData(
         natural,
         shapes,
@@ -176,6 +183,7 @@ def identified(found: list[tuple], channels) -> ModalData:
         damping_sd=damping_sd,
         shape_sd=shape_sd,
         name="identified modes",
+        **of_inputs,
     )
 
 

@@ -10,8 +10,18 @@ import xarray as xr
 
 from pymc_features._checks import as_list, message, shown
 from pymc_features.ambient.bands import checked_bands
-from pymc_features.modal.transfer import Experiment, Lines, TransferFit, fit_modes
+from pymc_features.modal.transfer import (
+    BEYOND,
+    NEAR,
+    Experiment,
+    Lines,
+    TransferFit,
+    fit_modes,
+    without_modes,
+)
 from pymc_features.signals.channels import sampling_step, whole_values
+
+SWEEPS = 2  # over bands, each without what the modes of the others move in it
 
 
 def split_channels(channels: xr.DataArray, excitation) -> tuple[xr.DataArray, xr.DataArray]:
@@ -42,28 +52,34 @@ def fitted_bands(
     n = y.shape[1]
     checked = checked_bands(bands, n, dt, integrals)
     at_y, at_x = (dt * np.fft.rfft(z) for z in (y, x))
-    found = []
-    for limits, first, last, number in zip(
-        checked.limits, checked.starts[:-1], checked.starts[1:], numbers, strict=True
-    ):
+    parts = []
+    for first, last in zip(checked.starts[:-1], checked.starts[1:], strict=True):
         bins = checked.bins[first:last][checked.weights[first:last] > 0.0]
         lines = Lines(bins / (n * dt), 2 - integrals, duration=n * dt, dt=dt, decays=True)
-        experiment = Experiment(np.arange(len(x)), at_x[:, bins], at_y[:, bins])
-        found.append((limits, fit_modes([experiment], lines, number)))
-    return found
+        parts.append((lines, Experiment(np.arange(len(x)), at_x[:, bins], at_y[:, bins])))
+    fits: list[TransferFit] = []
+    for sweep in range(1 + SWEEPS * (len(parts) > 1)):
+        for band, ((lines, experiment), number) in enumerate(zip(parts, numbers, strict=True)):
+            own = [experiment]
+            for fit in fits[:band] + fits[band + 1 :] if sweep else ():
+                own = without_modes(fit.modes, own, lines)
+            tried = [fit_modes(own, lines._replace(rest=rest), number) for rest in (BEYOND, NEAR)]
+            fits[band : band + 1] = [max(tried, key=lambda fit: fit.criterion)]
+    return list(zip(checked.limits, fits, strict=True))
 
 
 def rows_of_fit(fit: TransferFit) -> list[tuple]:
-    """Frequency, damping ratio and shape of length one of each mode, and their standard deviations."""
+    """Frequency, damping ratio and shape of length one of each mode, their deviations; participation, too."""
     modes, rows = fit.modes, []
     k, n_in = modes.table.shape[1], modes.inputs.shape[1]
-    covariance = fit.covariance
-    for i, (w, z, shape) in enumerate(zip(modes.natural, modes.ratios, modes.outputs, strict=True)):
-        own = covariance[i * k : (i + 1) * k, i * k : (i + 1) * k]
-        sd, length = np.sqrt(np.diag(own).clip(min=0.0)), np.linalg.norm(shape)
-        unit = shape / length
-        turn = (np.eye(len(unit)) - np.outer(unit, unit)) / length
-        of_shape = np.sqrt(np.diag(turn @ own[2 + n_in :, 2 + n_in :] @ turn).clip(min=0.0))
-        f = w / (2.0 * np.pi)
-        rows.append((f, z, unit, f * sd[0], z * sd[1], of_shape))
+    for i, (w, z, p_in, p_out) in enumerate(zip(*modes[:4], strict=True)):
+        covariance = fit.covariance[i * k : (i + 1) * k, i * k : (i + 1) * k]
+        length = np.linalg.norm(p_out)
+        unit = p_out / length
+        of_shape, of_inputs = np.zeros((len(unit), k)), np.zeros((n_in, k))
+        of_shape[:, 2 + n_in :] = (np.eye(len(unit)) - np.outer(unit, unit)) / length
+        of_inputs[:, 2 : 2 + n_in], of_inputs[:, 2 + n_in :] = length * np.eye(n_in), np.outer(p_in, unit)
+        slopes = [np.eye(2, k) * [[w / (2.0 * np.pi)], [z]], of_shape, of_inputs]
+        of_f_and_z, *sds = (np.sqrt(np.diag(x @ covariance @ x.T).clip(min=0.0)) for x in slopes)
+        rows.append((w / (2.0 * np.pi), z, unit, *of_f_and_z, sds[0], length * p_in, sds[1]))
     return rows

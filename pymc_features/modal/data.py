@@ -35,6 +35,7 @@ _LIMITS = {
     "damping_sd": _SD,
     "shape_sd": _SD,
 }
+_OF_INPUTS = {"participation": (-np.inf, np.inf, "finite", ". Leave it out."), "participation_sd": _SD}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,6 +62,14 @@ class ModalData:
         What messages call the modes.
     labels : sequence of str (m,), optional
         Which mode of the structure each is of, equal for several identifications of one.
+    inputs : sequence of str (r,), optional
+        Names of known excitations, with `participation`.
+    participation : array_like (m, r), optional
+        By how much each mode follows an excitation x: its acceleration at each channel is the shape times the
+        participation times s^2 X / (s^2 + 2 zeta w s + w^2) [1/kg of forces]. Of a motion of the base it is
+        the participation factor with the opposite sign.
+    participation_sd : array_like (m, r), optional
+        Standard deviations of these, at least 0.
 
     Raises
     ------
@@ -87,11 +96,15 @@ class ModalData:
     shape_sd: np.ndarray | None = None
     name: str = ""
     labels: np.ndarray | None = None
+    inputs: tuple[str, ...] = ()
+    participation: np.ndarray | None = None
+    participation_sd: np.ndarray | None = None
 
     def __post_init__(self):
         checks = {"frequencies": self._frequencies, "channels": self._channels, "name": check_title}
         checks |= {"shapes": self._shapes, **{name: partial(self._numbers, name) for name in _LIMITS}}
-        checks |= {"labels": self._labels}
+        checks |= {"labels": self._labels, "inputs": lambda names: tuple(_names(names, "inputs", "names"))}
+        checks |= {name: partial(self._numbers, name) for name in _OF_INPUTS}
         for name, check in checks.items():
             value = getattr(self, name)
             if value is not None or name in ("frequencies", "channels", "name"):
@@ -152,13 +165,15 @@ class ModalData:
         values, wanted, what = as_numbers(given, name), self.frequencies.shape, "shape (mode,) = {}"
         if name == "shape_sd":
             wanted, what = None if self.shapes is None else self.shapes.shape, "the shape of `shapes`, {}"
+        if name in _OF_INPUTS:
+            wanted, what = (*wanted, len(self.inputs)), "shape (mode, input) = {}"
         if values.shape != wanted:
             raise refusal(
                 f"`{name}` must have {what.format(wanted)}", values.shape, "Pass one for each mode."
             )
         if name == "frequency_sd":
             check_finite(values, name, "Leave it out if some are not known.")
-        least, below, condition, advice = _LIMITS[name]
+        least, below, condition, advice = {**_LIMITS, **_OF_INPUTS}[name]
         wrong = values[~((values >= least) & (values < below) | np.isnan(values))]
         if wrong.size:
             raise ValueError(f"`{name}` must be {condition}, got {wrong[0]}{advice}")
@@ -227,8 +242,21 @@ class ModalData:
             columns = find_channels(channels, self.channels, "these modes")
         arrays = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         chosen = {name: a[rows] for name, a in arrays.items() if isinstance(a, np.ndarray)}
-        chosen = {name: a[:, columns] if a.ndim == 2 else a for name, a in chosen.items()}
-        return replace(self, channels=[self.channels[index] for index in columns], **chosen)
+        of_channels = {name: chosen[name][:, columns] for name in ("shapes", "shape_sd") if name in chosen}
+        return replace(self, channels=[self.channels[index] for index in columns], **chosen | of_channels)
+
+    def modal_masses(self) -> np.ndarray:
+        """Modal masses (m, r) [kg] of the shapes as they are scaled, from forces at a channel of their name.
+
+        Of a structure that a force shakes where a channel measures in its direction: the shape there over the
+        participation. NaN for other inputs.
+        """
+        if self.participation is None:
+            raise ValueError("`modal_masses` needs a `participation`. Identify modes with their excitation.")
+        self._demand_shapes()
+        at = [self.channels.index(name) if name in self.channels else -1 for name in self.inputs]
+        there = np.where(np.array(at) < 0, np.nan, self.shapes.real[:, at])
+        return there / self.participation
 
     def _demand_shapes(self):
         if self.shapes is None:

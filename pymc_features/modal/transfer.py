@@ -26,6 +26,7 @@ POWERS = {"accelerance": 2, "mobility": 1, "receptance": 0}
 BEYOND = -2, 0  # powers of s beside s^q of the terms for modes far below and above the lines,
 NEAR = -4, -3, -2, 0, 1, 2  # and in narrow bands of a record, for modes that are not so far
 RATIOS = np.geomspace(1e-5, 0.1, 13)  # of damping, among which that of a further mode is sought
+START = 0.25  # least half of its half-power width, over the distance of lines, with which it is sought
 STEP = 1e-3  # of differences: of ln zeta, and of ln w in units of zeta
 STEPS, ENOUGH = 60, 1e-3  # of a fit at most, and gain of log-likelihood below which it ends,
 ROUGHLY = 1.0  # and while modes are sought
@@ -50,6 +51,9 @@ class Lines(NamedTuple):
     duration: float = np.inf  # of the record [s]
     dt: float = np.nan  # [s]
     decays: bool = False  # whether records neither begin nor end at rest
+    rest: tuple[int, ...] = (
+        BEYOND  # powers of s beside s^q of the terms for modes that are not among the lines
+    )
 
     @property
     def s(self) -> np.ndarray:
@@ -115,6 +119,7 @@ class TransferFit(NamedTuple):
     information: np.ndarray  # Lambda of q, with all else integrated out (n (2 + r + a),) * 2
     log_likelihood: float
     chi2: float  # mean square of the residuals, over the variance of their real and imaginary parts
+    criterion: float  # log-likelihood less what the Bayesian information criterion asks of all unknowns
 
     @property
     def covariance(self) -> np.ndarray:
@@ -154,8 +159,7 @@ def free_decays(natural, ratios, lines: Lines) -> np.ndarray:
 
 def residual_terms(lines: Lines) -> np.ndarray:
     """Transforms (j, k), of root mean square one, of modes below and above the lines."""
-    powers = NEAR if lines.decays else BEYOND
-    terms = np.stack([lines.s ** float(lines.power + j) for j in powers])
+    terms = np.stack([lines.s ** float(lines.power + j) for j in lines.rest])
     return terms / np.sqrt(np.mean(np.abs(terms) ** 2, axis=1, keepdims=True))
 
 
@@ -255,18 +259,25 @@ def climbed(modes: TransferModes, experiments, lines, enough=ENOUGH):
     return modes, here
 
 
-def residuals(modes: TransferModes, experiments, lines) -> list[np.ndarray]:
-    """What modes leave of the responses (a, k) of each experiment."""
-    terms = residual_terms(lines)
+def without_modes(modes: TransferModes, experiments, lines) -> list[Experiment]:
+    """Experiments without the responses of modes, which may lie beside the lines."""
     decays = free_decays(modes.natural, modes.ratios, lines) if lines.decays else None
     found = []
     for i, e in enumerate(experiments):
         forces = modes.inputs[:, e.inputs] @ e.excitation
         g = unit_responses(modes.natural * np.exp(e.drift), modes.ratios, lines, e.blow)
-        rest = np.einsum("ait,tk,ik->ak", modes.rest[:, e.inputs], terms, e.excitation)
         decay = np.einsum("nj,jnk->nk", modes.ends[i], decays) if lines.decays else 0.0
-        found.append(e.response - modes.outputs.T @ (forces * g + decay) - rest)
+        found.append(e._replace(response=e.response - modes.outputs.T @ (forces * g + decay)))
     return found
+
+
+def residuals(modes: TransferModes, experiments, lines) -> list[np.ndarray]:
+    """What modes leave of the responses (a, k) of each experiment."""
+    terms = residual_terms(lines)
+    return [
+        e.response - np.einsum("ait,tk,ik->ak", modes.rest[:, e.inputs], terms, e.excitation)
+        for e in without_modes(modes, experiments, lines)
+    ]
 
 
 def with_level(modes, experiments, lines, smoothed: bool) -> list[Experiment]:
@@ -294,6 +305,8 @@ def further_mode(modes: TransferModes, experiments, lines, passed) -> TransferMo
     peak = int(np.where(passed, 0.0, power).argmax())
     low, high = np.interp([peak - 1, peak + 1], np.arange(len(power)), lines.frequencies)
     w, z = (x.ravel() for x in np.meshgrid(2.0 * np.pi * np.linspace(low, high, 9), RATIOS))
+    is_wide = z * w > START * 2.0 * np.pi * np.min(np.diff(lines.frequencies))
+    w, z = w[is_wide], z[is_wide]
     g = unit_responses(w, z, lines)
     shape = len(w), modes.outputs.shape[1], modes.inputs.shape[1]
     above, below = np.zeros(shape), np.zeros(shape)
@@ -326,7 +339,8 @@ def are_seen(modes: TransferModes, experiments, lines: Lines, widest=WIDEST) -> 
         own += np.sum(inside * np.abs(parts) ** 2 * (modes.outputs**2 @ weights), axis=1)
         whole += inside @ np.sum(weights * np.abs(modes.outputs.T @ parts) ** 2, axis=0)
     is_peak = (2.0 * modes.ratios * f > NARROW * step) & (modes.ratios < widest) & (own > FAINT * whole)
-    return (low < f) & (f < high) & is_peak
+    half = np.where(np.isfinite(widest), modes.ratios * f, 0.0)
+    return (low < f - half) & (f + half < high) & is_peak
 
 
 def is_double(modes: TransferModes, same: float) -> bool:
@@ -356,7 +370,7 @@ def fit_modes(
         np.zeros(0),
         np.zeros(0),
         *none,
-        np.zeros((n_out, n_in, len(NEAR if lines.decays else BEYOND))),
+        np.zeros((n_out, n_in, len(lines.rest))),
         np.zeros((len(experiments) * lines.decays, 0, 2)),
     )
 
@@ -371,9 +385,8 @@ def fit_modes(
         return modes, here, known
 
     modes, here, known = fitted(modes, experiments)
-    charge = (
-        0.5 * (1 + n_in + n_out + 2 * lines.decays) * np.log(2.0 * sum(e.response.size for e in experiments))
-    )
+    for_each = 0.5 * np.log(2.0 * sum(e.response.size for e in experiments))
+    charge = (1 + n_in + n_out + 2 * lines.decays) * for_each
     charge += np.log(len(lines.frequencies))  # for any of them a mode may be at
     drift, is_told = 0.0, len(experiments) == n_in > 1
     widest = WIDEST if n_modes is None else np.inf
@@ -417,11 +430,12 @@ def fit_modes(
     modes = TransferModes(*(x[order] for x in modes[:4]), modes.rest, modes.ends[:, order]).balanced()
     log_likelihood, chi2, gradient, information = quadratic(modes, known, lines, drift, gain)
     n, k = seen.sum(), modes.table.shape[1]
+    criterion = log_likelihood - for_each * (len(gradient) - len(modes.natural))
     score, information = without_rest(gradient, information, n * k)
     step = with_pseudo_inverse(information) @ score  # what drifts and sensitivities that differ move
-    table = modes.table[:n] + step.reshape(n, k)
-    modes = TransferModes(*np.exp(table[:, :2].T), *np.split(table[:, 2:], [n_in], axis=1), *modes[4:])
-    return TransferFit(modes, without_scale(information, modes), log_likelihood, chi2)
+    modes = TransferModes(*(x[:n] for x in modes[:4]), modes.rest, modes.ends[:, :n])
+    modes = modes.moved(np.pad(step, (0, modes.rest.size + modes.ends.size)))
+    return TransferFit(modes, without_scale(information, modes), log_likelihood, chi2, criterion)
 
 
 def drifts(modes: TransferModes, experiments, lines) -> tuple[float, np.ndarray]:
