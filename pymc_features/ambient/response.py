@@ -4,7 +4,8 @@
 of some bands are Gaussian; a draw is a history that has these transforms, and nothing else but the mean.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -44,9 +45,14 @@ from pymc_features.modal import modes
 from pymc_features.modal.structural_modes import picked_outputs
 from pymc_features.ops import as_tensor, by_labels, known_dims
 from pymc_features.ops.numba_dispatch import run_in_python
+from pymc_features.ops.response import response as known_response
+from pymc_features.records import Loading, Record
 from pymc_features.structures import Structure
 
 MEASURED = {"acceleration": 0, "velocity": 1, "displacement": 2}  # how often the acceleration is integrated
+KNOWN = dict(
+    zip(MEASURED, ("absolute_acceleration", "relative_velocity", "relative_displacement"), strict=True)
+)
 PARTS = "(m),(m),(m,s),(b,m,r,c),(b,s)"
 LINES = "bins", "weights", "gains", "starts", "dt"  # of `Bands`
 FEWEST_IN_PEAK = 4.0  # frequencies of the record in the half-power width of a mode
@@ -67,6 +73,8 @@ class SpectralResponse(NamedTuple):
         One-sided spectral density of the forces.
     quantity : str
         A key of `MEASURED`.
+    known : callable
+        From a record, or forces, to the response of the structure to these at the sensors (sensor, time).
     """
 
     frequencies: TensorVariable
@@ -75,11 +83,12 @@ class SpectralResponse(NamedTuple):
     patterns: TensorVariable
     excitation: TensorVariable
     quantity: str
+    known: Callable[[Record | Loading], TensorVariable]
 
 
 def spectral_response(
     structure: Structure,
-    excitation: TensorLike,
+    excitation: TensorLike | None,
     *,
     forces: str | ArrayLike = "dofs",
     sensors: Sequence[int] | Sequence[str] | None = None,
@@ -95,7 +104,7 @@ def spectral_response(
         Its parameters may be random variables. Of a nonlinear chain the small motions count.
     excitation : tensor_like (), (band,) or (band, force)
         One-sided spectral density of each force [N^2/Hz], constant in each band of `AmbientResponse`.
-        Positive.
+        Positive. None if all that acts is known, see `excitation` of `AmbientResponse`.
     forces : {"dofs", "modes"} or array_like (n, force)
         Where they act: one on each degree of freedom; one on each mode, phi' f with the unit N^2/kg/Hz; or
         patterns along the structure, in columns.
@@ -120,7 +129,9 @@ def spectral_response(
         If an argument is out of range.
     """
     check_choice(quantity, "quantity", tuple(MEASURED))
-    density = spectral(excitation, "excitation")
+    density = pt.zeros(()) if excitation is None else spectral(excitation, "excitation")
+    if excitation is None:  # one that acts nowhere
+        forces = np.zeros((structure.n_dof, 1))
     if isinstance(forces, str) and check_choice(forces, "forces", ("dofs", "modes")) == "modes":
         found = modes(structure, n_modes, sensors=sensors, outputs=outputs)
         shapes, patterns = found.shapes, pt.eye(found.frequencies.type.shape[0])
@@ -133,7 +144,17 @@ def spectral_response(
         shapes = found.shapes[:, picked]
         if combined is not None:
             shapes = pt.dot(shapes, combined.T)
-    return SpectralResponse(found.frequencies, found.damping_ratios, shapes, patterns, density, quantity)
+    known = partial(
+        known_response,
+        structure,
+        sensors=sensors,
+        outputs=outputs,
+        n_modes=n_modes,
+        quantity=KNOWN[quantity],
+    )
+    return SpectralResponse(
+        found.frequencies, found.damping_ratios, shapes, patterns, density, quantity, known
+    )
 
 
 def checked_patterns(forces, n: int) -> np.ndarray:
@@ -295,9 +316,12 @@ class AmbientResponse(Continuous):
         Sampling interval [s].
     observed : array_like (sensor, time)
         Measured channels, without gaps.
+    excitation : Record or Loading, optional
+        What was measured of what acts: a motion of the base, or the forces of a shaker or hammer, in steps of
+        `dt` and from rest. The forces that nobody measured act besides. The response is that of
+        `pmf.response`: absolute accelerations, velocities and displacements relative to the base.
     mu : tensor_like (sensor, time), optional
-        Known part of the response, for example `pmf.response` to a measured motion of the base: the forces
-        that nobody measured act besides.
+        Known part of the response in place of an `excitation`.
     dims : tuple of str, optional
         Names of the two axes of the data.
 
@@ -337,6 +361,7 @@ class AmbientResponse(Continuous):
         bands: ArrayLike,
         dt: float,
         observed: ArrayLike,
+        excitation: Record | Loading | None = None,
         mu: TensorLike | None = None,
         dims: Sequence[str] | None = None,
     ) -> TensorVariable:
@@ -347,11 +372,14 @@ class AmbientResponse(Continuous):
         if (s := response.shapes.type.shape[1]) not in (None, len(data)):
             advice = "Name the degrees of freedom of the channels by `sensors`."
             raise ValueError(message("observed", f"({s}, time), a row for each sensor", data.shape, advice))
+        if excitation is not None:
+            mu = followed(response, excitation, mu, data.shape[1], dt)
         mean = np.zeros(data.shape) if mu is None else as_tensor(mu, "mu", "Pass what `response` returned.")
         settings = {"error": error, "bands": bands, "dt": dt, "n_samples": data.shape[1]}
         dims = known_dims(dims, 2)
         rv = super().__new__(cls, name, response, mu=mean, **settings, observed=data, dims=dims)
-        warn_at_start(rv, response, checked_bands(bands, data.shape[1], dt, MEASURED[response.quantity]))
+        bands = checked_bands(bands, data.shape[1], dt, MEASURED[response.quantity])
+        warn_at_start(rv, response, bands, is_known=mu is not None)
         return rv
 
     @classmethod
@@ -386,6 +414,19 @@ class AmbientResponse(Continuous):
         return super().dist([(*response[:3], factor, error, mean), bands], **kwargs)
 
 
+def followed(response: SpectralResponse, excitation, mu, n: int, dt: float) -> TensorVariable:
+    """Response (sensor, time) to an excitation of the length of the record."""
+    if mu is not None:
+        raise ValueError(message("mu", "left out with `excitation`", "both"))
+    if not isinstance(excitation, Record | Loading):
+        raise TypeError(message("excitation", "a Record or a Loading", shown(excitation)))
+    if excitation.n_times != n or abs(excitation.dt - check_step(dt)) > 1e-6 * dt:
+        got = f"{excitation.n_times} samples at {excitation.dt:.6g} s"
+        advice = "Cut or resample one of them (`Record.resampled`)."
+        raise ValueError(message("excitation", f"{n} samples at {dt:.6g} s, as `observed`", got, advice))
+    return response.known(excitation)
+
+
 def checked_channels(observed) -> np.ndarray:
     """Channels (sensor, time) of numbers."""
     data = as_numbers(observed, "observed", "Pass channels (sensor, time).").astype(np.float64)
@@ -395,8 +436,11 @@ def checked_channels(observed) -> np.ndarray:
     return data
 
 
-def warn_at_start(rv, response, bands) -> None:
-    """Warn where at the model's initial point a band has no mode, or a mode in a band a peak too narrow."""
+def warn_at_start(rv, response, bands, is_known: bool) -> None:
+    """Warn where at the model's initial point a band has no mode, or a mode in a band a peak too narrow.
+
+    The response to what is known is right in short records, too.
+    """
     model = pm.modelcontext(None)
     try:
         frequencies, ratios = model_values(model, [response.frequencies, response.damping_ratios])
@@ -411,7 +455,7 @@ def warn_at_start(rv, response, bands) -> None:
                 f"the band {low:g} to {high:g} Hz of {rv.name} has no mode at the model's initial point; the "
                 f"nearest is at {near:.4g} Hz. Move the band, or the start of the parameters."
             )
-        for f, zeta in zip(frequencies[inside], ratios[inside], strict=True):
+        for f, zeta in zip(frequencies[inside], ratios[inside], strict=True) if not is_known else ():
             warn_of_peak(f"the mode of {rv.name} at {f:.4g} Hz", f, zeta, duration)
 
 
