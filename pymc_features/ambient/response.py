@@ -264,8 +264,8 @@ class AmbientResponseRV(SymbolicRandomVariable):
 
 
 def parameters_of(rv: TensorVariable) -> list[Variable]:
-    """Frequencies, damping ratios, shapes, factor of the forces and error of an `AmbientResponse`."""
-    return rv.owner.inputs[1:6]
+    """Frequencies, damping ratios, shapes, factor of the forces, error and mean of an `AmbientResponse`."""
+    return rv.owner.inputs[1:7]
 
 
 @_logprob.register(AmbientResponseRV)

@@ -11,7 +11,8 @@ import xarray as xr
 from scipy import signal
 
 import pymc_features as pmf
-from pymc_features import ModalDamping, SpringMassChain, cli
+from benchmarks import truth
+from pymc_features import ModalDamping, Record, SpringMassChain, cli
 from pymc_features.exceptions import AmbientWarning, ConfigError
 from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.update import read_problem, run_update
@@ -264,6 +265,35 @@ def test_more_modes_than_the_structure_has(tmp_path):
         assert read_problem(write(tmp_path, values)).modal is None
 
 
+@pytest.mark.slow
+def test_a_known_motion_of_the_base(tmp_path):
+    """Stiffness and damping are known better with the base than without its name, and it is no residual."""
+    motion = truth.motion(1.0 / STEP, (N - 1) * STEP, 4)
+    frame = building(TRUE["k1"], TRUE["k2"], TRUE["zeta"])
+    moved = pmf.simulate(frame, Record(motion.values()[0], STEP))
+    table = np.column_stack([STEP * np.arange(N), motion.values()[0], *(shaken(1) + moved.values)])
+    head = "time,ground,first,roof"
+    np.savetxt(tmp_path / "wind.csv", table, "%.8g", ",", header=head, comments="")
+    known = {"sensors =": 'base = "ground"\nsensors =', "[ambient]": '[ambient]\nexcitation = "base"'}
+    text = LAPLACE + priors()
+    for old, new in known.items():
+        text = text.replace(old, new)
+    path = tmp_path / "wind.toml"
+    path.write_text(text)
+    result = run_update(read_problem(path), out=tmp_path / "known")
+    posterior = result["AMBIENT/posterior"].to_dataset()
+    for name in ("k1", "k2", "zeta"):
+        z = (float(posterior[name].mean()) - TRUE[name]) / float(posterior[name].std())
+        assert abs(z) < 4.0, name
+    assert posterior["k1"].std() < 2e-3  # 3e-3 and more without the base
+    fitted = result["AMBIENT/spectra"].to_dataset()
+    assert np.all(np.abs(fitted["ratio"] - 1.0) < 6.0 * fitted["sd"])
+    assert fitted["residual"].std() < 0.5 * moved.std()
+    problem = read_problem(path)
+    assert problem.verdict(result, "AMBIENT").explains
+    assert len(problem.modal.data) == 2
+
+
 REFUSED = {  # what is said: what is changed, into what
     "`nothing` must be left out, it is no key": ("[ambient]", "[nothing]"),
     "`ambient` must be left out without `data.excitation": ('excitation = "ambient"', ""),
@@ -282,7 +312,12 @@ REFUSED = {  # what is said: what is changed, into what
         'error = "noise"',
         'bands = [[2.6, 3.6], [5.0, 6.0]]\nerror = ["noise", -1.0]',
     ),
-    "`data.base` must be left out with `data.excit": ('["first", "roof"]', '["roof"]\nbase = "first"'),
+    "`data.base` must .* be left out without it, got 'first'": (
+        '["first", "roof"]',
+        '["roof"]\nbase = "first"',
+    ),
+    "`data.base` must name the sensor on the base": ("[ambient]", '[ambient]\nexcitation = "base"'),
+    '`ambient.excitation` must be "unknown" or "base"': ("[ambient]", '[ambient]\nexcitation = "wind"'),
     "`likelihood` must be left out with": ("[sampler]", "[likelihood]\nsigma = 1.0\n[sampler]"),
     "`events` must be left out with": ("[sampler]", '[events]\nfolder = "."\n[sampler]'),
     "`processing.band_pass` must": ("[sampler]", "[processing]\nband_pass = { low = 1.0 }\n[sampler]"),

@@ -18,10 +18,11 @@ from pymc_features.ambient.bands import Bands, band_transform, checked_bands, tr
 from pymc_features.ambient.response import parameters_of
 from pymc_features.exceptions import AmbientWarning, ConfigError
 from pymc_features.likelihoods import DIMS, Likelihood
+from pymc_features.records import Record
 from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.structures import Structure
 from pymc_features.update.config.entries import Vector, evaluated
-from pymc_features.update.config.keys import named_key
+from pymc_features.update.config.keys import named_key, shown
 from pymc_features.update.config.sections import Section, Window, key
 from pymc_features.update.kinds import base, modal
 from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict
@@ -48,7 +49,6 @@ MUCH = 1.5  # factor of the power that is worth a word
 GOT = 'with `data.excitation = "ambient"`, got it.'
 LEFT_OUT = {  # keys that mean nothing here, and why
     "record likelihood events modal": f"{GOT} The spectra of the channels are compared, as [ambient] says.",
-    "data.base": f"{GOT} The motion of the base is not known, or there is none.",
     "data.gaps": f"{GOT} Take a part of the record without gaps.",
     "processing.band_pass": f"{GOT} Choose by `ambient.bands` which frequencies are compared.",
     "processing.compare": f"{GOT} Choose by `processing.trim` what is compared.",
@@ -65,6 +65,7 @@ class AmbientSection(Section):
     force: Vector = key(DENSITY.format("N^2/Hz"))
     error: Vector = key(DENSITY.format("(m/s^2)^2/Hz"))
     forces: Literal["dofs", "modes"] = key('"dofs" or "modes", where they act', "dofs")
+    excitation: Literal["unknown", "base"] = key('"unknown" or "base", that moves besides', "unknown")
 
     @model_validator(mode="after")
     def one_for_each_band(self):
@@ -91,6 +92,7 @@ class Ambient(KindOfData):
     source: str  # where the channels come from
     dofs: list[int]  # degree of freedom of each sensor
     structure: Structure  # what the priors expect
+    base: xr.DataArray | None = None  # (1, time) its known motion [m/s^2]
 
     key, section, refused = "ambient", AmbientSection, LEFT_OUT
     own, likelihoods = (AMBIENT,), [AMBIENT.name]
@@ -108,6 +110,11 @@ class Ambient(KindOfData):
                 '`ambient` must be given with `data.excitation = "ambient"`: a table with `force` and '
                 "`error`, the spectral densities of forces and errors."
             )
+        if (config.ambient.excitation == "base") != (config.data.base is not None):
+            raise ConfigError(
+                '`data.base` must name the sensor on the base with `ambient.excitation = "base"`, and be '
+                f"left out without it, got {shown(config.data.base)}."
+            )
         super().check_sections(config)
 
     @classmethod
@@ -119,6 +126,9 @@ class Ambient(KindOfData):
         for name in ("force", "error"):
             base.check_positive(f"ambient.{name}", getattr(asked, name), problem.priors, n_bands, "bands")
         channels, step, source = read_whole(config, problem.folder)
+        base_motion = None
+        if asked.excitation == "base":
+            base_motion, channels = channels.isel(sensor=[0]), channels.isel(sensor=slice(1, None))
         with named_key("ambient.bands"):
             bands = propose_bands(channels) if asked.bands == "auto" else asked.bands
             bands = checked_bands(bands, channels.sizes["time"], step, 0).limits
@@ -127,7 +137,7 @@ class Ambient(KindOfData):
                 f"`ambient.bands` must end below {PASSED / step:.4g} Hz after `processing.decimate`, got "
                 f"{bands.max():.4g} Hz: decimation weakens what is above. Decimate less."
             )
-        return cls(config, channels, step, bands, source, dofs, problem.expected)
+        return cls(config, channels, step, bands, source, dofs, problem.expected, base_motion)
 
     @cached_property
     def beside(self):
@@ -137,7 +147,7 @@ class Ambient(KindOfData):
         """
         try:
             with named_key("ambient.bands"):
-                data = identify_modes(self.channels, self.bands)
+                data = identify_modes(self.channels, self.bands, excitation=self.base)
         except ConfigError as error:
             warnings.warn(f"No modes were identified to compare with: {error}", AmbientWarning, stacklevel=2)
             return ()
@@ -177,7 +187,8 @@ class Ambient(KindOfData):
 
     @property
     def arrays(self):
-        return {"channels": self.channels.values, "bands": self.bands}
+        known = {} if self.base is None else {"base": self.base.values}
+        return {"channels": self.channels.values, "bands": self.bands} | known
 
     def parameters(self, likelihood):
         return [value for *_, value in self.config.ambient.parameters()]
@@ -188,6 +199,8 @@ class Ambient(KindOfData):
         force, error = (pt.as_tensor_variable(evaluated(v, values)) for v in (asked.force, asked.error))
         settings = {"forces": asked.forces, "sensors": self.dofs, "n_modes": problem.structure.n_modes}
         measured = {"bands": self.bands, "dt": self.step, "observed": self.channels.values}
+        if self.base is not None:
+            measured["excitation"] = Record(self.base.values[0], self.step)
         with named_key("ambient", excitation="ambient.force", error="ambient.error"):
             spectra = spectral_response(structure, force, **settings)
             AmbientResponse("y", spectra, error=error, dims=DIMS, **measured)
@@ -205,7 +218,8 @@ class Ambient(KindOfData):
     def draw(self, fitted=None):
         """Figure of the singular values, perhaps with those of the fitted model."""
         identified = self.beside[0].data.frequencies if self.beside else None
-        return plots.singular_values(self.channels, self.bands, frequencies=identified, fitted=fitted)
+        seen = self.channels if fitted is None else fitted.get("residual", self.channels)
+        return plots.singular_values(seen, self.bands, frequencies=identified, fitted=fitted)
 
     def told(self):
         yield f"data: {self.source}, {self.duration:.4g} s at {self.step:.4g} s"
@@ -219,7 +233,8 @@ class Ambient(KindOfData):
     def tables(self, problem, result):
         bands = ", ".join(f"{low:.4g} to {high:.4g} Hz" for low, high in self.bands)
         how = ", proposed from the peaks of the spectra" if self.config.ambient.bands == "auto" else ""
-        more = f". Nobody measured the forces. Compared are the frequencies {bands}{how}."
+        forces = "Nobody measured the forces" if self.base is None else "Forces act beside the known base"
+        more = f". {forces}. Compared are the frequencies {bands}{how}."
         return [base.channels_table(self, more)]
 
     def figures_of(self, problem, part, kind):
@@ -234,10 +249,14 @@ def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
 
     `response` (quantile, value, frequency) are singular values of the expected spectra inside the bands, as
     Welch's method sees them; `ratio` (part) is the power of the channels over what is expected, in all
-    directions alike, F' E^-1 F / s, on average, `sd` its error if the model is right.
+    directions alike, F' E^-1 F / s, on average, `sd` its error if the model is right. Where the base is
+    known, channels are less the response to it, on average, which is the `residual`.
     """
     from scipy import signal  # a second to import
 
+    if ambient.base is not None:
+        mean = np.mean([draw[-1] for draw in parts_of_draws(model, posterior)], axis=0)
+        ambient = replace(ambient, channels=ambient.channels - mean)
     bands = checked_bands(ambient.bands, ambient.channels.sizes["time"], ambient.step, 0)
     spectra = averaged_spectra(ambient.channels.values, ambient.step)
     f, length = spectra.frequencies, spectra.length
@@ -253,7 +272,7 @@ def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
     of_channels = (transformed[:, 0] + 1j * transformed[:, 1]).T
     values, ratios = [], np.zeros(bands.bins.size)
     own_band = np.repeat(np.arange(len(bands.limits)), np.diff(bands.starts))
-    for parameters in parts_of_draws(model, posterior):
+    for *parameters, _ in parts_of_draws(model, posterior):
         expected = covariance(parameters, fine.ravel(), np.repeat(band[inside], offsets.size))
         expected = expected.reshape(*fine.shape, *expected.shape[1:])
         values.append(np.linalg.eigvalsh(np.einsum("o,koij->kij", kernel, expected))[:, ::-1])
@@ -266,11 +285,13 @@ def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
     parts |= {"ratio": ("part", ratio), "sd": ("part", sd)}
     parts |= {"low": ("part", low, {"units": "Hz"}), "high": ("part", high, {"units": "Hz"})}
     coords = {"quantile": list(QUANTILES), "frequency": f[inside], "value": 1 + np.arange(found.shape[1])}
+    if ambient.base is not None:
+        parts["residual"] = ambient.channels
     return xr.Dataset(parts, coords)
 
 
 def parts_of_draws(model, posterior: xr.Dataset):
-    """Frequencies, damping ratios, shapes, factors of forces and errors at some draws of the posterior."""
+    """Frequencies, damping ratios, shapes, factors of forces, errors and means at draws of the posterior."""
     few, names = base.thinned(posterior, DRAWS), [rv.name for rv in model.free_RVs]
     settings = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}
     function = pytensor.function([model[name] for name in names], parameters_of(model["y"]), **settings)
