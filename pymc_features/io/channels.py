@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pymc_features import _checks as checks
-from pymc_features.exceptions import ChannelWarning
 from pymc_features.io.formats import read_source
 from pymc_features.io.formats.libraries import is_source
 from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
 
 #: What makes no difference to how a file is read.
 NOT_OF_FILE = dict.fromkeys(("columns", "units", "quantity", "sensitivity", "scale", "delay", "anchors"))
+COMMON = "Sensors must have a common clock"
 REACH = 10  # samples by which gaps are wider once a channel is moved to other times
 #: What may be said of all sensors or of each on its own, and of each alone.
 OF_ALL = "units", "quantity", "sensitivity", "dt", "clock", "clock_units", "skip", "wrapped"
@@ -40,20 +40,19 @@ def read_channels(
 ) -> "xr.DataArray":
     """Read measured accelerations of several sensors, aligned on their common clock, in m/s^2.
 
-    One file with several columns, or one file for each sensor. Files are aligned by whole samples of their
-    clocks and cut to the window they have in common; nothing else is changed.
+    Files, of one sensor or several each, are aligned by whole samples of their clocks and cut to the window
+    they have in common; nothing else is changed.
 
     Parameters
     ----------
     files : path, sequence of paths, or mapping of sensor name to path or to a mapping
-        Text (raw exports with any lines above the numbers, CSV), MATLAB (``.mat``) or any format that
-        `read_record` recognises; in place of a path a `pandas.DataFrame` with labels, an `xarray.DataArray`
-        (sensor, time), an ObsPy `Stream`, or a list of dicts of SEP005 (`data`, `name`, `unit_str`, `fs` or
-        `time`). List sensors from the base up. A mapping for a sensor has its `file` and any of `column`,
-        `units`, `dt`, `fs`, `clock`, `clock_units`, `skip`, `wrapped`; `quantity` ("acceleration",
-        "velocity", "displacement", "strain", "force" or "pressure"); `sensitivity` of a voltage, such as
-        "100 mV/g", or in V per SI unit; `scale`, a factor; `delay`, how late it comes [s]; `anchors`, two
-        pairs of a reading of its clock and the true time [s], for a clock that drifts.
+        Text (CSV, raw exports) or any format that `read_record` recognises; in place of a path a
+        `pandas.DataFrame` with labels, an `xarray.DataArray` (sensor, time), an ObsPy `Stream`, or a list of
+        dicts of SEP005 (`data`, `name`, `unit_str`, `fs` or `time`). List sensors from the base up. A mapping
+        for a sensor has its `file` and any of `column`, `units`, `dt`, `fs`, `clock`, `clock_units`, `skip`,
+        `wrapped`; `quantity` ("acceleration", "velocity", "displacement", "strain", "force" or "pressure");
+        `sensitivity` of a voltage, such as "100 mV/g", or in V per SI unit; `scale`, a factor; `delay`, how
+        late it comes [s]; `anchors`, two pairs of a reading of a clock that drifts and the true time [s].
     columns : int, str, sequence of them, or mapping of sensor name to column, optional
         Which columns of every file are accelerations, by index from 0 or header name, or which MATLAB
         variables; a matrix there is several sensors. All but the clock by default.
@@ -65,16 +64,15 @@ def read_channels(
     fs : float, optional
         Sampling rate [Hz], in place of `dt`.
     clock : int, str or False, optional
-        Column or variable with the times; by default time stamps, or one called t, time, date, elapsed and
-        so on, else a first column that runs forward. False: there is none, the files start together.
+        Column or variable with the times; by default time stamps, or one called t, time, date and so on, else
+        a first column that runs forward. False: there is none, the files start together.
     clock_units : str or float, optional
         Of the clock: "s", "ms", "us", "ns", "min", "h", "d" or seconds per count. Headers such as
         ``time [ms]`` state it; without a statement seconds, of SampleTimeFine microseconds.
     skip : int
         Rows left out at the start of every file, such as an empty first packet.
     wrapped : bool, optional
-        Text only: True if one series runs along the lines, False if each column is a series. Needed where
-        neither labels nor a clock tell.
+        As of `read_record`.
     resample : float, optional
         Sampling rate [Hz] of all sensors, for files of different rates: each is moved to the same times, as
         a band-limited history without what this rate cannot carry. Gaps are wider by 10 samples on each side.
@@ -88,31 +86,25 @@ def read_channels(
 
     Raises
     ------
-    FileNotFoundError, IsADirectoryError, OSError
-        If there is no such file or it cannot be opened.
+    FileNotFoundError, IsADirectoryError, OSError, ImportError
+        If there is no such file, it cannot be opened, or needs ObsPy, pyuff or npTDMS.
     ValueError, TypeError
         If an argument is not admissible or contradicts a file, a file is broken or no history of
         accelerations, its clock has gaps or uneven steps (see `read_channels_with_gaps`), the sensors have no
         common clock, or a channel is constant; the message names file and line.
-    ImportError
-        If a format needs ObsPy, pyuff or npTDMS and it is not installed.
 
     Warns
     -----
-    ChannelWarning
+    ChannelWarning, UserWarning
         If a channel looks clipped or interrupted, is a copy of another or implausible in these units, if the
-        first samples are empty, or the clocks are not simultaneous.
-    UserWarning
-        If `dt` contradicts a file, or the times of a MiniSEED file its rate.
+        first samples are empty, or the clocks are not simultaneous; if `dt` contradicts a file, or the times
+        of a MiniSEED file its rate.
 
     Examples
     --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "frame.csv"
-    ...     _ = path.write_text("time [s],base [g],roof [g]\\n0.00,0.1,0.0\\n0.02,0.0,0.3\\n0.04,-0.2,0.1\\n")
-    ...     read_channels(path).sel(sensor="roof").values
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"time [s]": [0.00, 0.02, 0.04], "roof [g]": [0.0, 0.3, 0.1]})
+    >>> read_channels(table).sel(sensor="roof").values
     array([0.   , 2.943, 0.981])
     """
     asked = Request(checks.step_or_rate(dt, fs), clock, clock_units, skip, wrapped, units=units)
@@ -150,25 +142,15 @@ def read_channels_with_gaps(
     Raises
     ------
     FileNotFoundError, IsADirectoryError, OSError, ValueError, TypeError
-        As from `read_channels`; also if more samples are missing than there are, if the first row of numbers
-        of a text file is not whole, or a row has no time.
-
-    Warns
-    -----
-    ChannelWarning, UserWarning
-        As `read_channels`.
+        As from `read_channels`, which also says what is warned of; and if more samples are missing than there
+        are, if the first row of numbers of a text file is not whole, or a row has no time.
 
     Examples
     --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "frame.csv"
-    ...     rows = "0.00,0.1,0.0\\n0.02,0.0,\\n0.04,-0.2,0.1\\n0.08,0.1,0.2\\n"
-    ...     _ = path.write_text("time [s],base [m/s^2],roof [m/s^2]\\n" + rows)
-    ...     read_channels_with_gaps(path).values
-    array([[ 0.1,  0. , -0.2,  nan,  0.1],
-           [ 0. ,  nan,  0.1,  nan,  0.2]])
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"time [s]": [0.00, 0.02, 0.08], "base [m/s^2]": [0.1, 0.0, 0.2]})
+    >>> read_channels_with_gaps(table).values
+    array([[0.1, 0. , nan, nan, 0.2]])
     """
     asked = Request(checks.step_or_rate(dt, fs), clock, clock_units, skip, wrapped, gaps=True, units=units)
     return _read(files, columns, checked(asked), resample)
@@ -226,13 +208,11 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     if any(delay is not None for delay in delays) and all(history.start is None for history in measured):
         measured = [history._replace(start=0.0) for history in measured]
     # a clock is set back by whole samples unless it is resampled, and its history moved by the rest
-    late = np.array([delay or 0.0 for delay in delays])
-    steps = np.array([history.dt for history in measured])
+    late, steps = np.array([(by or 0.0, one.dt) for by, one in zip(delays, measured, strict=True)]).T
     whole = late if resample else steps * np.rint(late / steps)
-    measured = [
-        history if history.start is None else history._replace(start=history.start - by)
-        for history, by in zip(measured, whole.tolist(), strict=True)
-    ]
+    for k, by in enumerate(whole.tolist()):
+        if measured[k].start is not None:
+            measured[k] = measured[k]._replace(start=measured[k].start - by)
     values, step, start = _resampled(measured, resample) if resample else _aligned(measured)
     quantities = [history.quantity for history in measured]
     sensors = _sensor_names(names, files, columns)
@@ -252,21 +232,21 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
 
 def _aligned(channels: list) -> tuple[np.ndarray, float, float]:
     """Values (sensor, time) of the times that all channels have, by whole samples; step and start [s]."""
+    from pymc_features.signals.channels import warn_channel
+
     first = channels[0]
     for channel in channels[1:]:
         n = min(first.values.size, channel.values.size)
         if abs(channel.dt - first.dt) * (n - 1) > 0.5 * first.dt:
-            raise ValueError(
-                f"Sensors must have a common clock, the step is {first.dt:.10g} s in {first.name} and "
-                f"{channel.dt:.10g} s in {channel.name}. Pass `resample`, the rate [Hz] of all."
-            )
+            steps = f"{first.dt:.10g} s in {first.name} and {channel.dt:.10g} s in {channel.name}"
+            raise ValueError(f"{COMMON}, the step is {steps}. Pass `resample`, the rate [Hz] of all.")
     starts, latest, _ = _common_span(channels)
     sizes = np.array([channel.values.size for channel in channels])
     if first.start is None:
         if len(set(sizes)) > 1:
             said = checks.listed([f"{channel.name} {channel.values.size}" for channel in channels])
-            said = f"{said}. Cut them to the same window first."
-            raise ValueError(f"Sensors without clocks must have the same number of samples, got {said}")
+            what = f"the same number of samples, got {said}. Cut them to the same window first."
+            raise ValueError(f"Sensors without clocks must have {what}")
         return np.array([channel.values for channel in channels]), first.dt, 0.0
     dt = float(f"{np.mean([channel.dt for channel in channels]):.10g}")
     steps = int(np.rint((latest - first.start) / dt))  # of the first clock, to which the others are aligned
@@ -277,18 +257,13 @@ def _aligned(channels: list) -> tuple[np.ndarray, float, float]:
     different = {(c.name, c.values.size, by): c for c, by in zip(channels, off, strict=True)}
     for (name, size, late), channel in different.items():
         if abs(late) > 0.05 * dt + 2.0 * channel.quantum:
-            checks.warn_caller(
-                f"{name}: its samples come {1e3 * abs(late):.3g} ms ({abs(late) / dt:.2g} samples) "
-                f"{'after' if late > 0.0 else 'before'} those of {first.name} by the clocks; they are taken "
-                "as simultaneous. Pass `resample` if that matters.",
-                ChannelWarning,
-            )
+            said = f"its samples come {1e3 * abs(late):.3g} ms ({abs(late) / dt:.2g} samples)"
+            said = f"{said} {'after' if late > 0.0 else 'before'} those of {first.name} by the clocks"
+            said = f"{said}; they are taken as simultaneous. Pass `resample` if that matters."
+            warn_channel(f"{name}: {said}")
         if n_times < 0.5 * size:
-            checks.warn_caller(
-                f"{name}: only {n_times} of its {size} samples are in the window that all sensors have in "
-                "common. Check for a file that starts late or ends early.",
-                ChannelWarning,
-            )
+            said = f"only {n_times} of its {size} samples are in the window that all sensors have in common"
+            warn_channel(f"{name}: {said}. Check for a file that starts late or ends early.")
     rows = [channel.values[k : k + n_times] for channel, k in zip(channels, skipped, strict=True)]
     return np.array(rows), dt, start
 
@@ -297,19 +272,15 @@ def _common_span(channels: list) -> tuple[np.ndarray, float, float]:
     """Starts [s], 0 without clocks, which all channels have or none; start and stop of their common time."""
     bare = [channel.name for channel in channels if channel.start is None]
     if bare and len(bare) < len(channels):
-        raise ValueError(
-            f"Sensors must have a common clock, {bare[0]} has none and others do. Pass `clock`, the "
-            "column with the times, or clock=False and `dt` if all files start together."
-        )
+        said = "the column with the times, or clock=False and `dt` if all files start together."
+        raise ValueError(f"{COMMON}, {bare[0]} has none and others do. Pass `clock`, {said}")
     starts = np.array([channel.start or 0.0 for channel in channels])
     stops = starts + [(channel.values.size - 1) * channel.dt for channel in channels]
     if stops.min() - starts.max() < 0.99 * channels[0].dt:
         spans = zip(channels, starts, stops, strict=True)
         ranges = dict.fromkeys(f"{c.name} {start:.6g} s to {stop:.6g} s" for c, start, stop in spans)
-        raise ValueError(
-            f"Sensors must have a common clock, these have no time in common: {checks.listed(list(ranges))}. "
-            "Pass clock=False and `dt` if the files start together, or one event only."
-        )
+        said = f"these have no time in common: {checks.listed(list(ranges))}. Pass clock=False and `dt`"
+        raise ValueError(f"{COMMON}, {said} if the files start together, or one event only.")
     return starts, float(starts.max()), float(stops.min())
 
 
@@ -336,22 +307,22 @@ def _resampled(channels: list, rate: float) -> tuple[np.ndarray, float, float]:
 
 def _sensors(files, columns, request: Request, resampled: bool) -> list[tuple[str, object, Request]]:
     """Name and source of each entry of `files`, and what is said of it."""
-    several = list(columns.values()) if isinstance(columns, Mapping) else checks.as_list(columns)
-    picked = [columns] if several is None and columns is not None else several
+    picked = list(columns.values()) if isinstance(columns, Mapping) else checks.as_list(columns)
+    picked = [columns] if picked is None and columns is not None else picked
     if isinstance(files, Mapping):
-        entries = [(str(name), source) for name, source in files.items()]
+        names, sources = list(map(str, files)), list(files.values())
     else:
         sources = [files] if isinstance(files, str | PathLike) or is_source(files) else checks.as_list(files)
         if sources is None:
             what = "a path, several, or a mapping of sensor names to paths"
             raise TypeError(checks.message("files", what, checks.shown(files)))
-        entries = [(None, source) for source in sources]
-    for name, some in (("files", entries), ("columns", picked)):
+        names = [None] * len(sources)
+    for name, some in (("files", sources), ("columns", picked)):
         if some == []:
             raise ValueError(f"`{name}` must name at least one, got none.")
     request = request._replace(columns=picked and [check_column(column, "columns") for column in picked])
     found = []
-    for name, source in entries:
+    for name, source in zip(names, sources, strict=True):
         own = request
         if isinstance(source, Mapping):
             source, own = source.get("file"), _of_sensor(name, source, request, resampled)
@@ -368,10 +339,9 @@ def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> Reques
         what = f"`file` and any of {', '.join(OF_SENSOR[1:])} of {name!r}"
         raise ValueError(checks.message("files", what, checks.listed(unknown or list(said))))
     own = request._replace(**{key: said[key] for key in OF_ALL if key in said})
-    for key in ("scale", "delay"):
-        if key in said:
-            own = own._replace(**{key: checks.check_number(said[key], key)})
-            checks.check_finite(np.float64(said[key]), key)
+    for key in [key for key in ("scale", "delay") if key in said]:
+        own = own._replace(**{key: checks.check_number(said[key], key)})
+        checks.check_finite(np.float64(said[key]), key)
     if own.scale == 0.0:
         raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
     if "anchors" in said:
@@ -409,7 +379,6 @@ def _sensor_names(found, files, columns) -> list[str]:
         else:
             alone = not label or (len(found) == 1 and not named)
             names += own if alone else [f"{label} {name}" for name in own]
-    if len(set(names)) < len(names):
-        said = f"{checks.listed(names)}. Pass `files` or `columns` as a mapping of names."
-        raise ValueError(f"Sensors must have different names, got {said}")
+    said = f"{checks.listed(names)}. Pass `files` or `columns` as a mapping of names."
+    checks.require(len(set(names)) == len(names), f"Sensors must have different names, got {said}")
     return names

@@ -1,11 +1,9 @@
 """Frequency response functions from files of analysers and modal programs, as one array with its labels.
 
-Parts of complex numbers, decibels, degrees, units and places are what a file states; arguments say what it
-leaves open, and must not contradict it.
+Arguments say what a file leaves open of parts of numbers, units and places, and must not contradict it.
 """
 
 import re
-import warnings
 from collections.abc import Sequence
 from itertools import product
 from os import PathLike
@@ -14,18 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import (
-    as_list,
-    check_file,
-    check_text,
-    check_texts,
-    listed,
-    message,
-    require,
-    shown,
-    warn_caller,
-)
-from pymc_features.io.formats.libraries import AXES, FUNCTIONS, QUANTITY_OF_TYPE, UNIVERSAL
+from pymc_features import _checks as checks
+from pymc_features._checks import listed
+from pymc_features.io.formats import libraries
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.formats.text import read_columns
 from pymc_features.io.reading.labels import SI, Label, role_of, unit_of
@@ -35,7 +24,7 @@ from pymc_features.io.reading.recording import Request
 if TYPE_CHECKING:
     import xarray as xr
 
-FUNCTION, COHERENCE, FORCE = (4, 5), 6, 13  # types of functions, 5 transmissibility; of a denominator
+FUNCTION, COHERENCE = (4, 5), 6  # types of data sets 58, of which 5 is transmissibility
 WORDS = {"real": "real re", "imaginary": "imaginary imag im", "magnitude": "magnitude mag amplitude abs"}
 WORDS |= {"phase": "phase angle", "coherence": "coherence coh"}
 PARTS = {word: part for part, words in WORDS.items() for word in words.split()}
@@ -43,6 +32,7 @@ ANGLES = {"deg": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0}
 #: Quantity of the response by the name of a function.
 NAMES = {"accelerance": "acceleration", "inertance": "acceleration", "mobility": "velocity"}
 NAMES |= {"receptance": "displacement", "compliance": "displacement"}
+ENDS = NAMES.values(), ("force", "acceleration")  # what response and excitation may be
 PLACE = re.compile(r"(?<![A-Za-z\d.])(\d+):?([+-]?)(R?[XYZ])(?![A-Za-z])", re.IGNORECASE)
 COMPLEX = re.compile(r"\d[ij]\b")
 DECIBEL = re.compile(r"(?:dB(?:\s+re\s+([\d.]+(?:e[-+]?\d+)?))?)?\s*", re.IGNORECASE)
@@ -65,7 +55,7 @@ class Function(NamedTuple):
     units: str  # a ratio
     places: tuple[str, ...]  # response and reference
     kinds: tuple[str, ...]  # quantities of response and excitation
-    coherence: np.ndarray | None = None
+    coherence: np.ndarray | float = np.nan  # (line,)
 
 
 def read_frequency_response(
@@ -87,8 +77,8 @@ def read_frequency_response(
     units : str, optional
         A ratio such as "(m/s^2)/N", "g/N" or "mm/s/lbf"; "g/g" under a motion of the base.
     response, reference : str or sequence of str, optional
-        Node and direction, "5:+z", or name of a channel: one for all, one for each function in their order,
-        or for each row and column of an array. Labels of columns, "5:+z/3:+z real", and names of files,
+        Node and direction, "5:+z", or name of a channel: one for all, one for each function in order, or for
+        each row and column of an array. Labels of columns, "5:+z/3:+z real", and names of files,
         ``5+z_3+z.txt``, state both.
     columns : sequence of str, optional
         Labels of the columns of tables, such as "frequency [Hz]", "magnitude [dB re 1 g/N]", "phase [deg]".
@@ -102,8 +92,8 @@ def read_frequency_response(
     Raises
     ------
     FileNotFoundError, ImportError, ValueError, TypeError
-        If a file is broken, or contradicts others or an argument, a pair is there twice or missing, something
-        needed is said nowhere, or pyuff is not installed; the message names it.
+        If a file is broken, contradicts others or an argument, or needs pyuff; if a pair is there twice or
+        missing, or something needed is said nowhere.
 
     Warns
     -----
@@ -119,10 +109,10 @@ def read_frequency_response(
     ...     read_frequency_response(path)["frequency_response"].values.round(9)
     array([[[98.1 +0.j ,  0. +98.1j]]])
     """
-    units = None if units is None else check_text(units, "units", 'Pass a ratio such as "(m/s^2)/N".')
-    paths = [files] if isinstance(files, str | PathLike) else as_list(files) or []
-    functions = [function for path in paths for function in _read(check_file(path, "files"), columns)]
-    _must(functions, "`files`", "be a path, or several", shown(files), "Name files.")
+    units = None if units is None else checks.check_text(units, "units", 'As "(m/s^2)/N".')
+    paths = [files] if isinstance(files, str | PathLike) else checks.as_list(files) or []
+    functions = [one for path in paths for one in _read(checks.check_file(path, "files"), columns)]
+    _must(functions, "`files`", "be a path, or several", checks.shown(files), "Name files.")
     for source, f, values, *_ in functions:
         rises = values.shape == f.shape and f.size > 1 and (np.diff(f) > 0.0).all()
         _must(rises, source, "have values at two or more rising frequencies", f"{values.size} at {f.size}")
@@ -132,86 +122,66 @@ def read_frequency_response(
         is_even = (np.abs(steps - 1.0) < 0.01).mean() > 0.8
         if (missing := f[1:][(values[1:] == 0.0) | (is_even & (steps > 1.5))]).size:
             text = f"{source}: lines at or before {listed(missing, 5)} Hz are missing. Were they cut out?"
-            warn_caller(text)
+            checks.warn_caller(text)
     return _dataset(functions, _labels(functions, response, reference), units)
 
 
 def _must(holds, source: str, be: str, got, advice: str = "Export it again.") -> None:
     """Refuse what a file holds."""
-    require(holds, f"{source} must {be}, got {got}. {advice}")
-
-
-# --- files ------------------------------------------------------------------------------------------
+    checks.require(holds, f"{source} must {be}, got {got}. {advice}")
 
 
 def _read(path: Path, columns) -> list[Function]:
     """The functions of a file."""
-    if re.match(UNIVERSAL, raw := path.read_bytes()):
-        _must(raw.rstrip().endswith(b"    -1"), path.name, "end with a line of -1", "none")
-        return _universal(path, raw)
-    if path.suffix.lower() == ".npz":
-        with by_library("NumPy", "", path, ".npz"), np.load(path, allow_pickle=False) as arrays:
-            return _of_arrays(path, dict(arrays))
-    is_array = path.suffix.lower() in (".mat", ".h5", ".hdf5")
-    return _of_arrays(path, load_variables(path)) if is_array else _table(path, columns)
+    if re.match(libraries.UNIVERSAL, path.read_bytes()):
+        return _universal(path)
+    if path.suffix.lower() not in (".mat", ".h5", ".hdf5", ".npz"):
+        return _table(path, columns)
+    if path.suffix.lower() != ".npz":
+        return _of_arrays(path, load_variables(path))
+    with by_library("NumPy", "", path, ".npz"), np.load(path, allow_pickle=False) as file:
+        arrays = dict(file)
+    return _of_arrays(path, arrays)
 
 
-def _universal(path: Path, raw: bytes) -> list[Function]:
+def _universal(path: Path) -> list[Function]:
     """Functions of data sets 58, with the coherences that stand beside them."""
-    with by_library("pyuff", "modal", path, "Universal"), warnings.catch_warnings():
-        import pyuff
-
-        warnings.simplefilter("ignore")
-        file = pyuff.UFF(str(path))
-        kinds = [str(int(kind)) for kind in file.get_set_types()]
-        sets = [file.read_sets(k) for k, kind in enumerate(kinds) if kind == FUNCTIONS]
+    _, sets = libraries.universal_sets(path)
+    kinds = listed([f"type {kind}" for kind in dict.fromkeys(one["func_type"] for one in sets)])
     functions, coherences = [], {}
     for one in [one for one in sets if one["func_type"] in (*FUNCTION, COHERENCE)]:
-        places, n, values, x = (_place(one, "rsp"), _place(one, "ref")), one["num_pts"], one["data"], one["x"]
+        places = _place(one, "rsp"), _place(one, "ref")
         source = f"{path.name}, {'/'.join(places)}"
-        whole = n <= values.size < n + 3 and not values[n:].any()  # the last line may be filled with zeros
-        if one["binary"]:  # numbers must reach to the end, else a byte was lost or added
-            order, size = (
-                "<" if one["byte_ordering"] == 1 else ">",
-                4 if one["ord_data_type"] in (2, 5) else 8,
-            )
-            last = np.array(values[-1:]).view(np.float64)[-1:].astype(f"{order}f{size}").tobytes()
-            whole = whole and any(last + end + b"    -1" in raw for end in (b"", b"\n", b"\r\n"))
-        _must(whole, source, f"have the {n} lines of its header", values.size)
+        values, x = libraries.numbers_of(one, source)
         if one["func_type"] == COHERENCE:
-            coherences[places] = values[:n].real
+            coherences[places] = values.real
             continue
-        line = np.polyval(np.polyfit(np.arange(n), x[:n], 1), np.arange(n))
-        rounded = not one["abscissa_spacing"] and np.abs(x[:n] - line).max() < 1e-5 * x[n - 1]  # six digits
-        texts = [one[f"{axis}_axis_units_lab"].strip() for axis in ("abscissa", "ordinate", "orddenom")]
-        hertz, over, under = (
-            t.replace("\ufffd", "²") if t.lower() != "none" else "" for t in texts
-        )  # Latin-1
-        codes = [one[f"{axis}_spec_data_type"] for axis in ("ordinate", "orddenom")]
-        says = tuple("force" if code == FORCE else QUANTITY_OF_TYPE.get(code) or "" for code in codes)
+        line = np.polyval(np.polyfit(np.arange(x.size), x, 1), np.arange(x.size))
+        rounded = not one["abscissa_spacing"] and np.abs(x - line).max() < 1e-5 * x[-1]  # six digits
+        hertz, over, under = (libraries.unit_on(one, axis) for axis in ("abscissa", "ordinate", "orddenom"))
+        codes = one["ordinate_spec_data_type"], one["orddenom_spec_data_type"]
+        says = tuple(libraries.QUANTITY_OF_TYPE.get(code) or "" for code in codes)
         units = f"({over})/({under})" if over and under else over
-        f = (line if rounded else x[:n]) * _hertz(hertz, source)
-        functions.append(Function(source, f, values[:n], units, places, says))
-    types = listed([f"type {kind}" for kind in dict.fromkeys(one["func_type"] for one in sets)])
+        f = (line if rounded else x) * _hertz(hertz, source)
+        functions.append(Function(source, f, values, units, places, says))
     must = "hold frequency response functions, data sets 58 of type 4"
-    _must(functions, path.name, must, types, "Read time histories by `read_channels`.")
-    return [one._replace(coherence=coherences.get(one.places)) for one in functions]
+    _must(functions, path.name, must, kinds, "Read time histories by `read_channels`.")
+    return [one._replace(coherence=coherences.get(one.places, np.nan)) for one in functions]
 
 
 def _place(one: dict, end: str) -> str:
     """Node and direction of an end of a function, or the name of its channel; empty if there is neither."""
     node, direction, name = one[f"{end}_node"], one[f"{end}_dir"], one[f"{end}_ent_name"].strip()
-    if node > 0 and 0 < abs(direction) <= len(AXES):
-        return f"{node}:{'-' if direction < 0 else '+'}{AXES[abs(direction) - 1].lower()}"
+    if node > 0 and 0 < abs(direction) <= len(libraries.AXES):
+        return f"{node}:{'-' if direction < 0 else '+'}{libraries.AXES[abs(direction) - 1].lower()}"
     return name if name.lower() != "none" else ""
 
 
 def _hertz(unit: str, source: str) -> float:
     """Hertz in the unit of frequencies, which is hertz where nothing is said."""
-    hertz = unit_of(unit or "Hz")
-    is_frequency = unit == "rad/s" or (hertz is not None and hertz.quantity == "frequency")
-    _must(is_frequency, source, "have frequencies in Hz or rad/s", repr(unit))
-    return 0.5 / np.pi if unit == "rad/s" else hertz.factor
+    known = unit_of(unit or "Hz", "frequency")
+    _must(known or unit == "rad/s", source, "have frequencies in Hz or rad/s", repr(unit))
+    return known.factor if known else 0.5 / np.pi
 
 
 def _table(path: Path, columns) -> list[Function]:
@@ -224,10 +194,10 @@ def _table(path: Path, columns) -> list[Function]:
             rows = [line.replace("i", "j").replace(" ", "" if cut else " ") for line in lines[first:]]
             values = np.loadtxt(rows, np.complex128, delimiter=cut, ndmin=2)
     else:
-        labels, values = (table := read_columns(path, Request())).labels, table.values
+        _, labels, values, *_ = read_columns(path, Request())
         units = next((line.split("\t")[1].strip() for line in lines[:60] if line.startswith("Hz\t")), "")
     said = listed([label.text for label in labels if label.text])
-    texts = check_texts([] if columns is None else columns, "columns", "labels of columns")
+    texts = checks.check_texts([] if columns is None else columns, "columns", "labels of columns")
     by_argument = [Label.of(text) for text in texts]
     for a, b in zip(labels, by_argument, strict=False):
         alike = all(not x or not y or x == y for x, y in ((_part(a), _part(b)), (a.unit, b.unit)))
@@ -252,9 +222,6 @@ def _of_arrays(path: Path, arrays: dict) -> list[Function]:
             last = array if array.shape[-1] == frequency.size else np.moveaxis(array, 0, -1)
             parts.append((Label.of(text.replace("_", " ")), last))
     return _functions(path, frequency, parts, str(np.ravel(arrays.get("units", ""))[0]))
-
-
-# --- what they state --------------------------------------------------------------------------------
 
 
 def _is_frequency(name: str) -> bool:
@@ -284,16 +251,13 @@ def _functions(path: Path, frequency: np.ndarray, parts: list, units: str) -> li
         (same or [groups[-1][1]])[-1][part] = label, values
     functions = []
     for name, group in groups:
-        source, says = (
-            f"{path.name}, {name}" if name else path.name,
-            [NAMES[n] for n in NAMES if n in name.lower()],
-        )
+        source = f"{path.name}, {name}" if name else path.name
         stated, values = _complex(group, source)
         places = next((tuple(p) for p in (places_in(name), places_in(path.stem)) if len(p) == 2), ("", ""))
-        gamma = group["coherence"][1].real if "coherence" in group else None
+        says = tuple(NAMES[word] for word in NAMES if word in name.lower())
+        gamma = group["coherence"][1].real if "coherence" in group else np.full(values.shape, np.nan)
         for k in np.ndindex(values.shape[:-1]):
-            one = Function(source, frequency, values[k], stated or units, places, tuple(says))
-            functions.append(one if gamma is None else one._replace(coherence=gamma[k]))
+            functions.append(Function(source, frequency, values[k], stated or units, places, says, gamma[k]))
     return functions
 
 
@@ -320,20 +284,20 @@ def _complex(group: dict, source: str) -> tuple[str, np.ndarray]:
 
 def _labels(functions: list[Function], response, reference) -> list[tuple[str, str]]:
     """Places of functions, which they or the arguments state."""
-    n, names, choices, places = len(functions), ("response", "reference"), [], []
-    for name, labels in zip(names, (response, reference), strict=True):
-        texts = check_texts([] if labels is None else labels, name, "places such as '5:+z'")
+    n, ends, choices, places = len(functions), {"response": response, "reference": reference}, [], []
+    for name, labels in ends.items():
+        texts = checks.check_texts([] if labels is None else labels, name, "places such as '5:+z'")
         choices.append([(places_in(text) or [text])[0] for text in texts] or [""])
     sizes = [len(labels) for labels in choices]
-    fits, is_grid = {*sizes} <= {1, n}, sizes[0] * sizes[1] == n
-    what = f"one place, or one for each of {n} functions"
-    require(fits or is_grid, message("response, reference", what, sizes))
+    is_grid, what = sizes[0] * sizes[1] == n, f"one place, or one for each of {n} functions"
+    checks.require(is_grid or {*sizes} <= {1, n}, checks.message("response, reference", what, sizes))
     pairs = product(*choices) if is_grid else zip(*(x * (n // len(x)) for x in choices), strict=True)
     for one, pair in zip(functions, pairs, strict=True):
-        for name, stated, said in zip(names, one.places, pair, strict=True):
-            alike, got = (stated or said) and said in ("", stated or said), f"{one.source} states {stated!r}"
-            _must(alike, f"`{name}`", "be the place of the function, such as '5:+z'", f"{said!r}, {got}", "")
         places.append(tuple(stated or said for stated, said in zip(one.places, pair, strict=True)))
+        for name, stated, said, place in zip(ends, one.places, pair, places[-1], strict=True):
+            got = f"{said!r}, {one.source} states {stated!r}"
+            be = "be the place of the function, such as '5:+z'"
+            _must(place and said in ("", place), f"`{name}`", be, got, "")
     return places
 
 
@@ -341,8 +305,8 @@ def _ratio(text: str) -> tuple[str, str, float] | None:
     """SI units of response and excitation of a ratio, and the factor to them; None where it is none."""
     for pattern, groups in RATIOS.items():
         if match := re.fullmatch(pattern, text):
-            y, x = (unit_of(match[k]) for k in groups)
-            if y and x and y.quantity in NAMES.values() and x.quantity in ("force", "acceleration"):
+            y, x = (unit_of(match[k], *kinds) for k, kinds in zip(groups, ENDS, strict=True))
+            if y and x:
                 return SI[y.quantity], SI[x.quantity], y.factor / x.factor
     return None
 
@@ -350,14 +314,15 @@ def _ratio(text: str) -> tuple[str, str, float] | None:
 def _in_si(one: Function, units: str | None) -> tuple[str, str, float]:
     """SI units of response and excitation of a function, the factor to them, by the file or the argument."""
     stated, said = _ratio(one.units), _ratio(units or "")
-    alike = (stated or said) and (units is None or said) and said in (None, stated or said)
-    got = f"{shown(units)}, {one.source} states {one.units!r}"
+    ratio, got = stated or said, f"{checks.shown(units)}, {one.source} states {one.units!r}"
+    alike = ratio and said in ((None, ratio) if units is None else (ratio,))
     _must(alike, "`units`", 'be a ratio such as "(m/s^2)/N", and that of the file', got, "")
     if one.units and not stated:
-        warn_caller(f"{one.source} states the units {one.units!r}; the argument units={units!r} is used.")
-    ratio, says = stated or said, " per ".join(one.kinds)
+        text = f"states the units {one.units!r}; the argument units={units!r} is used"
+        checks.warn_caller(f"{one.source} {text}.")
     is_so = all(not kind or SI.get(kind) == unit for kind, unit in zip(one.kinds, ratio, strict=False))
-    _must(is_so, one.source, f"be {says} as it says", f"units {one.units or units}", "Correct one of them.")
+    be, got = f"be {' per '.join(one.kinds)} as it says", f"units {one.units or units}"
+    _must(is_so, one.source, be, got, "Correct one of them.")
     return ratio
 
 
@@ -379,8 +344,7 @@ def _dataset(functions: list[Function], places: list, units: str | None) -> "xr.
     order, shape = [places.index(pair) for pair in grid], (len(responses), len(references), f.size)
     values = np.reshape([kinds[k][2] * functions[k].values for k in order], shape)
     data = dataset(values, (references, responses), f, kinds[0][1::-1])
-    gammas = [functions[k].coherence for k in order]
-    if any(gamma is not None for gamma in gammas):
-        gammas = [np.full(f.size, np.nan) if gamma is None else gamma for gamma in gammas]
+    gammas = [np.broadcast_to(functions[k].coherence, f.shape) for k in order]
+    if not np.isnan(gammas).all():
         data["coherence"] = data["frequency_response"].dims, np.reshape(gammas, shape)
     return data

@@ -1,8 +1,7 @@
 """Structural matrices of finite-element programs, MATLAB, NumPy and SciPy.
 
-Only numbers are read, dense or sparse; no pickles, nothing in the file is executed. Each reader gives
-matrices by name, and the degrees of freedom of each where the file, or the list that the program writes
-beside it, names them: node and direction, as ``12:z``.
+Only numbers are read, dense or sparse, nothing in a file is executed. Each reader gives matrices by name, and
+their degrees of freedom where the file, or a list beside it, names them: node and direction, as ``12:z``.
 
 Boisvert, R. F., Pozo, R. and Remington, K. A. (1996), The Matrix Market Exchange Formats, NISTIR 5935. Duff,
 I. S., Grimes, R. G. and Lewis, J. G. (1992), Users' Guide for the Harwell-Boeing Sparse Matrix Collection,
@@ -10,7 +9,6 @@ TR/PA/92/86. Dassault Systemes, Abaqus Analysis User's Guide, Generating matrice
 CrunchiX User's Manual, *FREQUENCY, SOLVER=MATRIXSTORAGE. ANSYS, Command Reference, HBMAT.
 """
 
-import warnings
 import zipfile
 from io import StringIO
 from os import PathLike
@@ -20,7 +18,7 @@ import numpy as np
 from scipy import sparse
 from scipy.io import mminfo, mmread
 
-from pymc_features._checks import check_file, listed
+from pymc_features._checks import check_file, listed, require
 from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.formats.text import read_columns
 from pymc_features.io.reading.lines import Lines, by_library, check_size, column_width, shortened, to_count
@@ -33,13 +31,7 @@ ANSYS = dict(zip(("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ"), AXES, strict=True))
 
 
 class Matrices(dict):
-    """Matrices by name.
-
-    Attributes
-    ----------
-    labels : dict of str to list of str
-        Degrees of freedom of the rows, as ``12:z``, of the matrices whose file names them.
-    """
+    """Matrices by name; `labels`: degrees of freedom of the rows, as ``12:z``, where the file names them."""
 
     def __init__(self, matrices: dict, labels: dict[str, list[str]] | None = None):
         super().__init__(matrices)
@@ -72,7 +64,9 @@ def read_mtx(path: Path) -> Matrices:
         n_entries = (shape[0] * (shape[0] + int(sign))) // 2 if sign else shape[0] * shape[1]
     if len(body) != n_entries:
         raise lines.error(f"the file must hold the {n_entries} entries that it announces", len(body))
-    return _assembled(path, body, shape, sign) if coordinate else Matrices({path.stem: mmread(path)})
+    if coordinate:
+        return _assembled(path, body, shape, sign)
+    return Matrices({path.stem: mmread(path, spmatrix=False)})
 
 
 def _numbers(lines: Lines, n_columns: int | None = None) -> np.ndarray:
@@ -111,8 +105,7 @@ def _assembled(path: Path, entries: np.ndarray, shape=None, sign=None, labels=()
         problem = "a skew-symmetric matrix must have no diagonal, got entries there. Correct it"
     elif len(np.unique(rows * shape[1] + columns)) < rows.size:
         problem = "entries must stand once each, got several at one place. Add them first"
-    if problem:
-        raise ValueError(f"{path.name}: {problem}.")
+    require(not problem, f"{path.name}: {problem}.")
     if sign:
         rows, columns = np.r_[rows, columns[off]], np.r_[columns, rows[off]]
         values = np.r_[values, sign * values[off]]
@@ -139,8 +132,8 @@ def read_harwell_boeing(path: Path) -> Matrices:
     lines = Lines(path, "Harwell-Boeing")
     lines.take("a title")
     counts = [to_count(word) for word in lines.take("numbers of lines").split()]
-    words = lines.take("the type of the matrix").split()
-    kind, sizes = words[0].upper() if words else "", [to_count(word) for word in words[1:]]
+    kind, *words = lines.take("the type of the matrix").split() or [""]
+    kind, sizes = kind.upper(), [to_count(word) for word in words]
     if len(counts) < 4 or len(sizes) < 3 or None in [*counts, *sizes]:
         raise lines.error("the header must state lines, rows, columns and entries")
     if kind not in ("RSA", "RUA"):
@@ -199,12 +192,10 @@ def read_matrices(path: str | PathLike) -> Matrices:
 
     Raises
     ------
-    FileNotMatricesError, OSError
-        If there is no such file or it cannot be opened.
+    FileNotFoundError, OSError, ImportError
+        If there is no such file, it cannot be opened, or is Nastran's and pyyeti is not installed.
     ValueError
         If the suffix is none of these or the file does not hold matrices of real numbers.
-    ImportError
-        If the file is Nastran's and pyyeti is not installed.
 
     Examples
     --------
@@ -220,9 +211,7 @@ def read_matrices(path: str | PathLike) -> Matrices:
     if reader is None:
         raise ValueError(f"`path` must end in {', '.join(READERS)}, got {path.name}. Export the matrices.")
     try:
-        with warnings.catch_warnings():  # SciPy announces another class of sparse matrix
-            warnings.simplefilter("ignore", DeprecationWarning)
-            found = reader(path)
+        found = reader(path)
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
         if isinstance(error, ImportError) or str(error).startswith(path.name):
             raise
@@ -232,16 +221,16 @@ def read_matrices(path: str | PathLike) -> Matrices:
     for name, value in found.items():
         if getattr(value, "ndim", 0) not in (1, 2) or value.dtype.kind not in "biuf" or 0 in value.shape:
             continue
-        if sparse.issparse(value):
-            floats[name] = value = sparse.csc_array(value, dtype=np.float64)
+        if is_sparse := sparse.issparse(value):
+            value = sparse.csc_array(value, dtype=np.float64)
         else:
             value = np.array(value, dtype=np.float64)
-            floats[name] = value.ravel() if 1 in value.shape and value.size > 1 else value  # as in MATLAB
-        if not np.isfinite(value.data if sparse.issparse(value) else value).all():
-            raise ValueError(f"{path.name}, `{name}`: entries must be finite, got NaN or infinity.")
-    if not floats:
-        held = f"{listed(sorted(found)) if found else 'nothing'}. Save M, C and K as variables."
-        raise ValueError(f"{path.name} must hold matrices of real numbers, got {held}")
+            value = value.ravel() if 1 in value.shape and value.size > 1 else value  # as in MATLAB
+        finite = np.isfinite(value.data if is_sparse else value).all()
+        require(finite, f"{path.name}, `{name}`: entries must be finite, got NaN or infinity.")
+        floats[name] = value
+    held = f"{listed(sorted(found)) if found else 'nothing'}. Save M, C and K as variables."
+    require(floats, f"{path.name} must hold matrices of real numbers, got {held}")
     return Matrices(floats, {name: found.labels[name] for name in floats if name in found.labels})
 
 

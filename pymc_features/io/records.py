@@ -32,9 +32,8 @@ def read_record(
 ) -> Record:
     """Read a ground acceleration from a file and convert it to m/s^2.
 
-    The format is recognised by the first lines. What the file states about units and time step is used when
-    the argument is None. Where both speak and disagree, it is an error, of a step a warning, and the argument
-    is used; where both are silent, an error.
+    The format is recognised by the first lines. An argument says what the file does not state of units and
+    time step. Where both speak and disagree, it is an error, of a step a warning, and the argument is used.
 
     Parameters
     ----------
@@ -44,19 +43,18 @@ def read_record(
         (data sets 58), MATLAB (``.mat``, also v7.3), or text, columns of numbers separated by comma,
         semicolon, tab or blanks. One column is the acceleration, two are time [s] and acceleration.
     units : str or float, optional
-        "g" (9.81 m/s^2), "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal", "in/s^2" or "ft/s^2", or m/s^2 per file
-        unit, positive. Formats of strong motion, headers such as ``acc [g]`` and MATLAB's ``units`` state it.
+        As of `read_channels`; formats of strong motion state it too.
     dt : float, optional
-        Sampling interval [s], positive. Formats of strong motion, clocks, and MATLAB's ``dt`` or ``fs`` [Hz]
-        state it. Films digitised at uneven times need it: their values are joined by straight lines.
+        Sampling interval [s], positive; as of `read_channels`, and formats of strong motion state it too.
+        Films digitised at uneven times need it: their values are joined by straight lines.
     fs : float, optional
         Sampling rate [Hz], in place of `dt`.
     column : int or str, optional
         Which channel, column or MATLAB variable is the acceleration, by index from 0 or name, if there are
         several. An (N, 2) MATLAB matrix is time and acceleration.
     wrapped : bool, optional
-        Text only: True if one series runs along the lines, several values to each, or times and values in
-        turn; False if each column is a series. Needed where neither labels nor a clock tell.
+        Text only: True if one series, or times and values in turn, run along the lines; False if each column
+        is a series. Needed where neither labels nor a clock tell.
 
     Returns
     -------
@@ -65,13 +63,11 @@ def read_record(
 
     Raises
     ------
-    FileNotFoundError, IsADirectoryError, OSError
-        If there is no such file or it cannot be opened.
+    FileNotFoundError, IsADirectoryError, OSError, ImportError
+        If there is no such file, it cannot be opened, or needs ObsPy or pyuff.
     ValueError, TypeError
         If an argument is not admissible or the file does not hold what its format asks for; the message
         names the file, its format, the line where there is one, and what to do.
-    ImportError
-        If the file is a seismogram and ObsPy is not installed, or a Universal File and pyuff is not.
 
     Warns
     -----
@@ -81,7 +77,6 @@ def read_record(
     Examples
     --------
     >>> import tempfile
-    >>> from pathlib import Path
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "pulse.csv"
     ...     _ = path.write_text("time [s],acc [g]\\n0.00,0.0\\n0.02,0.1\\n0.04,-0.2\\n")
@@ -91,13 +86,12 @@ def read_record(
     request = checked(Request(units=units, dt=step_or_rate(dt, fs), wrapped=wrapped))
     columns = None if column is None else [check_column(column, "column")]
     recording = read_source(path, request, "path")
-    channel, *others = chosen(recording, columns, "column")
-    if others:
-        held = f"{named([channel, *others])}. Pass the name or the index (from 0) of one."
+    found = chosen(recording, columns, "column")
+    if len(found) > 1:
+        held = f"{named(found)}. Pass the name or the index (from 0) of one."
         raise ValueError(f"`column` must be given, {recording.file} has the channels {held}")
-    motion = in_si(channel, request, recording)
-    peak = np.abs(motion.values).max()
-    if peak > LARGEST:
+    motion = in_si(found[0], request, recording)
+    if (peak := np.abs(motion.values).max()) > LARGEST:
         from pymc_features.signals.check import implausible  # a second to import
 
         warn_caller(f"{recording.file} {implausible(peak)}")
@@ -131,7 +125,7 @@ def read_cyclic_test(
     skip : int
         Rows left out at the start.
     wrapped : bool, optional
-        True if one series runs along the lines, False if each column is a series, where nothing else tells.
+        As of `read_record`.
 
     Returns
     -------
@@ -141,49 +135,42 @@ def read_cyclic_test(
 
     Raises
     ------
-    FileNotFoundError, IsADirectoryError, OSError
-        If there is no such file or it cannot be opened.
-    ValueError, TypeError
-        If an argument is not admissible, a file is broken, its units are not known, or displacement and
-        force differ in length; the message names file and line.
+    FileNotFoundError, IsADirectoryError, OSError, ValueError, TypeError
+        If there is no such file or it cannot be opened, an argument is not admissible, a file is broken, its
+        units are not known, or displacement and force differ in length; the message names file and line.
 
     Examples
     --------
     >>> import tempfile
-    >>> from pathlib import Path
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "wall.csv"
     ...     _ = path.write_text("drift [mm],load [kN]\\n0.0,0.0\\n2.0,35.5\\n-2.0,-34.0\\n")
     ...     test, force = read_cyclic_test(path)
-    >>> test
-    CyclicTest('wall', 3 samples, from -0.002 to 0.002 m)
-    >>> force.values
-    array([[     0.,  35500., -34000.]])
+    >>> test, force.values
+    (CyclicTest('wall', 3 samples, from -0.002 to 0.002 m), array([[     0.,  35500., -34000.]]))
     """
     import xarray as xr  # slow to import
 
     is_one = isinstance(files, str | PathLike)
     paths = [files] if is_one else pair(files, "files", "paths")
-    picked = [None, None] if columns is None else pair(columns, "columns", "an index or a name each")
+    picked = pair((None, None) if columns is None else columns, "columns", "an index or a name each")
     picked = [None if column is None else check_column(column, "columns") for column in picked]
-    given = [None, None] if units is None else pair(units, "units", "one of length and one of force")
+    given = pair((None, None) if units is None else units, "units", "one of length and one of force")
     wrapped = False if wrapped is None and columns is not None else wrapped
     request = checked(Request(dt=dt, clock=False, skip=skip, wrapped=wrapped))
-    recordings = [read_source(path, request) for path in paths]
+    recordings = [read_source(path, request) for path in paths] * (2 if is_one else 1)
     found = []
-    for number, (kind, column, unit) in enumerate(zip(KINDS, picked, given, strict=True)):
-        recording = recordings[0 if is_one else number]
+    for kind, recording, column, unit in zip(KINDS, recordings, picked, given, strict=True):
         if column is None and not recording.question:
-            column = _place(recording, kind, number if is_one else 0, 1 + is_one)
+            column = _place(recording, kind, KINDS if is_one else (kind,))
         channel = chosen(recording, [column])[0]
         asked = request._replace(units=unit, quantity=kind)
         found.append(in_si(channel, asked, recording._replace(file=f"{recording.file}, {kind}")).values)
     displacement, force = found
     if displacement.size != force.size:
-        raise ValueError(
-            f"`files` must have as many displacements as forces, got {displacement.size} in "
-            f"{recordings[0].file} and {force.size} in {recordings[-1].file}. Cut them to the same rows."
-        )
+        sizes = f"{displacement.size} in {recordings[0].file} and {force.size} in {recordings[-1].file}"
+        what = f"as many displacements as forces, got {sizes}"
+        raise ValueError(f"`files` must have {what}. Cut them to the same rows.")
     test = CyclicTest(displacement, request.dt, name=Path(recordings[0].file).stem)
     coords = {"sensor": ["force"], "time": ("time", test.time, {"units": "s"})}
     return test, xr.DataArray(force[None], coords, ("sensor", "time"), "restoring_force", {"units": "N"})
@@ -197,13 +184,14 @@ def pair(value, name: str, what: str) -> list:
     return listed
 
 
-def _place(recording: Recording, kind: str, place: int, usual: int) -> int:
-    """The channel that is of a kind by its label, or that at its place among the usual number of columns."""
+def _place(recording: Recording, kind: str, usual: tuple[str, ...]) -> int:
+    """The channel that is of a kind by its label, or that at its place among the usual columns."""
     units = [unit_of(channel.unit or "") for channel in recording.channels]
     kinds = [u.quantity if u else role_of(c.name) for c, u in zip(recording.channels, units, strict=True)]
     if kinds.count(kind) == 1:
         return kinds.index(kind)
-    if len(kinds) != usual or kinds[place] is not None or kind in kinds:
+    place = usual.index(kind)
+    if len(kinds) != len(usual) or kinds[place] is not None or kind in kinds:
         held = f"{len(kinds)} columns ({named(recording.channels)})"
         advice = "Pass the one of the displacement and the one of the force."
         raise ValueError(f"`columns` must be given, {recording.file} has {held}. {advice}")

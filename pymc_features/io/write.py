@@ -42,20 +42,16 @@ def write_channels(channels: "xr.DataArray", path: str | PathLike) -> None:
     Examples
     --------
     >>> import tempfile
-    >>> from pathlib import Path
-    >>> import pymc_features as pmf
+    >>> import xarray as xr
+    >>> channels = xr.DataArray([[1.5, 0.5]], {"sensor": ["roof"], "time": [0.0, 0.02]})
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "roof.csv"
-    ...     _ = path.write_text("time [s],roof [g]\\n0.00,0.1\\n0.02,0.0\\n0.04,-0.2\\n")
-    ...     write_channels(pmf.read_channels(path), path)
-    ...     print(path.read_text().splitlines()[:2])
-    ['time [s],roof [m/s^2]', '0,0.98100000000000009']
+    ...     write_channels(channels, f"{folder}/roof.csv")
+    ...     print(open(f"{folder}/roof.csv").read().splitlines())
+    ['time [s],roof [m/s^2]', '0,1.5', '0.02,0.5']
     """
     from pymc_features.signals.channels import check_array, sampling_step
 
-    path = check_path(path)
-    check_array(channels, sensors=True)
-    step = sampling_step(channels)
+    path, step = check_path(path), sampling_step(check_array(channels, sensors=True))
     writers = {".csv": _write_csv, ".txt": _write_csv, ".uff": _write_universal, ".unv": _write_universal}
     if path.suffix.lower() not in writers:
         raise ValueError(message("path", f"a file ending in {', '.join(writers)}", path.name))
@@ -71,12 +67,10 @@ def _write_csv(path, names, units, channels, step: float) -> None:
     import pandas as pd  # half a second to import
 
     start, times = float(channels.attrs.get("start", 0.0)), step * np.arange(channels.sizes["time"])
+    label, clock = "time [s]", [f"{time:.15g}" for time in start + times]
     if start > EPOCH:
         since = np.int64(round(start * 1e6)) * 1000 + np.rint(times * 1e9).astype(np.int64)
-        texts = np.datetime_as_string(since.astype("datetime64[ns]"))
-        label, clock = "time", [f"{text}Z" for text in texts]
-    else:
-        label, clock = "time [s]", [f"{time:.15g}" for time in start + times]
+        label, clock = "time", np.datetime_as_string(since.astype("datetime64[ns]"), timezone="UTC")
     labels = [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]
     table = pd.DataFrame(channels.values.T, clock, labels, dtype=np.float64)
     table.to_csv(path, index_label=label, float_format="%.17g", lineterminator="\n")

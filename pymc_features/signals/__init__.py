@@ -5,8 +5,7 @@
     clean = pmf.signals.band_pass(still, low=0.2, high=40.0)
     slower = pmf.signals.decimate(clean, 2)
 
-Each function takes an array and returns a new one; the same goes for every channel, base and floors, so that
-their ratios stay what they were.
+Each function returns a new array, and treats all channels alike, so that their ratios stay what they were.
 """
 
 from pymc_features.signals.channels import band_pass, correct, decimate, detrend, sampling_step, trim

@@ -33,10 +33,10 @@ def check_channels(
     base: str | int | None = None,
     damping_ratio: float = 0.02,
 ) -> xr.Dataset:
-    """Warn of channels that do not fit each other, and return what was found.
+    """Warn of channels that do not fit each other, and return what was found; nothing is repaired.
 
     All sensors measure the absolute acceleration in one direction and are listed from the base up, as on a
-    building with its first natural frequency above the band. Nothing is repaired.
+    building with its first natural frequency above the band.
 
     Parameters
     ----------
@@ -54,9 +54,9 @@ def check_channels(
     xarray.Dataset (sensor)
         `gain`, `lag` [s], their standard errors and `coherence` as of `low_frequency_gains`; `peak` [m/s^2],
         the largest deviation from the median; `scale` [-] and `delay` [s], what `correct` takes to put right
-        a channel that is inverted, in other units, or late: 1 and 0 where nothing is wrong. Where one channel
-        is late, all get the lag that damping and chance do not explain, also less than a tenth of a sample.
-        `attrs["order"]`: the sensors by their gains, if these do not rise.
+        a channel that is inverted, in other units, or late, else 1 and 0. Where one channel is late, all get
+        the lag that damping and chance do not explain. `attrs["order"]`: the sensors by their gains, if these
+        do not rise.
 
     Raises
     ------
@@ -76,9 +76,8 @@ def check_channels(
     A swap is found if the gains differ by more than 1 % and three standard errors, so not in a band where the
     base hardly moves, nor between high floors of almost the same gain: look at `gain_error`.
 
-    No false alarm in 240 shaken chains of random stiffness, with noise of 0.3 % of the peak, over 20 and 60 s
-    (a part of them in tests/signals/test_signals.py). Of 2,000 events of 30 s, strong ones and others
-    hardly above the noise, eight were told of a lag that is none (tests/signals/test_lag_alarms.py).
+    False alarms: none in 240 shaken chains of random stiffness, 20 and 60 s long, with noise of 0.3 % of the
+    peak; eight lags in 2,000 events of 30 s, some hardly above the noise (tests/signals/test_lag_alarms.py).
     """
     check_array(channels, sensors=True)
     damping_ratio = check_share(damping_ratio, "damping_ratio", "0.02 is 2 %.")
@@ -93,39 +92,32 @@ def check_channels(
     plain = (size >= _GAINS[0]) & (size <= _GAINS[1])
     late, scale, delay = False, np.ones(size.size), np.zeros(size.size)
     for i, (gain, lag, error, coherence) in enumerate(zip(*columns, strict=True)):
+        name, base = f"Channel {names[i]}", names[index]
         if i == index or np.isnan(gain):
             continue
         if coherence < _COHERENT:
-            warn_channel(
-                f"Channel {names[i]} is unrelated to {names[index]}: coherence {coherence:.2g}. "
-                "Another direction or event, no motion in the band, or a broken sensor?"
-            )
+            why = "Another direction or event, no motion in the band, or a broken sensor?"
+            warn_channel(f"{name} is unrelated to {base}: coherence {coherence:.2g}. {why}")
             continue
         if gain < 0.0:
-            warn_channel(
-                f"Channel {names[i]} is inverted against {names[index]}: low-frequency gain {gain:.3g}. "
-                "Multiply it by -1."
-            )
+            said = f"low-frequency gain {gain:.3g}. Multiply it by -1"
+            warn_channel(f"{name} is inverted against {base}: {said}.")
         scale[i] = np.sign(gain)
         if not plain[i]:  # units that are known to be mistaken for each other
             ratio = max(size[i], 1.0 / size[i])
             known = next((known for known in _RATIOS if 0.75 < ratio / known < 1.5), 1.0)
             scale[i] *= 1.0 / known if size[i] > 1.0 else known
             reason = f", {_RATIOS[known]}" if known in _RATIOS else ""
-            warn_channel(
-                f"Channel {names[i]} has a low-frequency gain of {gain:.3g} against {names[index]}, where "
-                f"floors follow the base{reason}. Check units and sensitivity."
-            )
+            said = f"a low-frequency gain of {gain:.3g} against {base}, where floors follow the base{reason}"
+            warn_channel(f"{name} has {said}. Check units and sensitivity.")
         explained = abs(1.0 - 1.0 / max(size[i], 1.0)) * (damping_ratio / (1.5 * np.pi * highest))
         beyond = abs(lag) - explained - 3.0 * error  # what neither damping nor chance explains
         delay[i] = lag if beyond > 0.0 else 0.0
         if beyond > tolerance:
             late = True
-            warn_channel(
-                f"Channel {names[i]} comes {1e3 * abs(lag):.3g} ms ({abs(lag) * _LATE / tolerance:.3g} "
-                f"samples) {'after' if lag > 0.0 else 'before'} {names[index]}, +- {1e3 * error:.2g} ms. "
-                "Check clocks, and what the lag does to phases."
-            )
+            said = f"{1e3 * abs(lag):.3g} ms ({abs(lag) * _LATE / tolerance:.3g} samples)"
+            said = f"{said} {'after' if lag > 0.0 else 'before'} {base}, +- {1e3 * error:.2g} ms"
+            warn_channel(f"{name} comes {said}. Check clocks, and what the lag does to phases.")
     found.attrs["order"] = _check_order(found.isel(sensor=plain & (found["coherence"].values >= _COHERENT)))
     delay *= late  # no clock is touched for what no message is worth
     return found.assign(scale=("sensor", scale), delay=("sensor", delay, {"units": "s"}))
@@ -160,19 +152,15 @@ def check_each(channels: xr.DataArray) -> None:
         for j, i in combinations(range(len(names)), 2):
             parts = ((values[i, :k], values[j, :k]) for k in (100, None))  # the first tell most apart
             if all(np.array_equal(*part, equal_nan=True) for part in parts):
-                warn_channel(
-                    f"Channels {names[j]} and {names[i]} are identical to the last bit: one sensor read "
-                    "twice. Leave one out."
-                )
+                same = f"{names[j]} and {names[i]} are identical to the last bit"
+                warn_channel(f"Channels {same}: one sensor read twice. Leave one out.")
         # a first sample of exact zeros before noise or offsets is the empty packet of a logger
         whole = filled(values)[0]
         later = whole[:, 1:21]
         zero = (whole[:, 0] == 0.0) & (later != 0.0).all(axis=1) & (later.shape[1] == 20)
         if zero.all() and (np.abs(whole[:, 1]) > 4.0 * np.median(np.abs(np.diff(later)), axis=1)).any():
-            warn_channel(
-                f"The first sample of {', '.join(names)} is exactly zero, unlike those that follow: an empty "
-                "packet? Pass skip=1 to `read_channels`, or trim it."
-            )
+            said = f"of {', '.join(names)} is exactly zero, unlike those that follow: an empty packet?"
+            warn_channel(f"The first sample {said} Pass skip=1 to `read_channels`, or trim it.")
 
 
 def runs_of(history) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -216,16 +204,13 @@ def _suspicions(history):
         return
     for extreme, tops in flat_tops(history)[:1]:
         word = "largest" if extreme == history.max() else "smallest"
-        yield (
-            f"looks clipped: {tops.sum()} samples at its {word} value {extreme:.4g} m/s^2, in {tops.size} "
-            "flat tops. Leave it out, or use a weaker shaking."
-        )
+        said = f"{tops.sum()} samples at its {word} value {extreme:.4g} m/s^2, in {tops.size} flat tops"
+        yield f"looks clipped: {said}. Leave it out, or use a weaker shaking."
     starts, lengths, jumps = runs_of(history)
     inner = (history[starts] != history.max()) & (history[starts] != history.min())
     held = np.flatnonzero((lengths >= _HELD) & (jumps > 2.0 * np.diff(history).std()) & inner)
     if held.size:  # filled in amid a motion: it ends, or starts, with a jump
         longest = held[np.argmax(lengths[held])]
-        yield (
-            f"repeats one value amid a motion, {history[starts[longest]]:.4g} m/s^2 over {lengths[longest]} "
-            f"samples from sample {starts[longest]}: a gap filled by the logger? Cut it off by `trim`."
-        )
+        said = f"{history[starts[longest]]:.4g} m/s^2 over {lengths[longest]} samples"
+        said = f"{said} from sample {starts[longest]}: a gap filled by the logger?"
+        yield f"repeats one value amid a motion, {said} Cut it off by `trim`."

@@ -9,29 +9,15 @@ A few averages do not tell N, neighbouring lines do so together. Blows noisier t
 the mean over lines of |Y - H1 X|^2 / (N (1 - c X^H S_xx^-1 X)), of which the bracket is the fit to the blow.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import xarray as xr
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike
 
-from pymc_features._checks import (
-    as_list,
-    as_numbers,
-    check_choice,
-    check_finite,
-    check_positive,
-    listed,
-    message,
-    require,
-    shown,
-    step_or_rate,
-)
-from pymc_features.signals.channels import check_array, check_band, sampling_step, warn_channel
+from pymc_features import _checks as checks
+from pymc_features._checks import message, require
+from pymc_features.signals.channels import check_array, check_band, step_of, warn_channel
 from pymc_features.signals.check import flat_tops
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 EXCITATIONS = {"N": "force", "m/s^2": "base"}  # by units, as the next; the first of bare arrays
 QUANTITIES = {"m/s^2": "accelerance", "m/s": "mobility", "m": "receptance"}
@@ -48,8 +34,8 @@ HANN = 35.0 / 18.0, 1.0 / 36.0  # mean(w^4) / mean(w^2)^2; squared correlation o
 
 
 def frequency_response(
-    excitation: "ArrayLike | xr.DataArray | str | list[str]",
-    response: "ArrayLike | xr.DataArray",
+    excitation: ArrayLike | xr.DataArray | str | list[str],
+    response: ArrayLike | xr.DataArray,
     *,
     dt: float | None = None,
     fs: float | None = None,
@@ -123,16 +109,15 @@ def frequency_response(
 
     Examples
     --------
-    Two blows on a mass of 2 kg:
-
-    >>> force = np.array([[0.0, 1.0, 4.0, 1.0, 0.0, 0.0], [0.0, 2.0, 8.0, 2.0, 0.0, 0.0]])
+    >>> force = np.array([[0.0, 1.0, 4.0, 1.0, 0.0, 0.0], [0.0, 2.0, 8.0, 2.0, 0.0, 0.0]])  # on 2 kg
     >>> frf = frequency_response(force, force[:, None] / 2.0, fs=6.0)
     >>> frf["frequency_response"].values.real.round(12).ravel()
     array([0.5, 0.5, 0.5])
     """
-    check_choice(method, "method", ("H1", "H2", "Hv"))
-    decay = check_positive(decay, "decay", "Pass 1/s.", allow_zero=True)
-    records, labels, step, pair, together = _prepared(excitation, response, step_or_rate(dt, fs), units)
+    checks.check_choice(method, "method", ("H1", "H2", "Hv"))
+    decay = checks.check_positive(decay, "decay", "Pass 1/s.", allow_zero=True)
+    step = checks.step_or_rate(dt, fs)
+    records, labels, step, pair, together = _prepared(excitation, response, step, units)
     forces, motions = records
     forces = forces.transpose(2, 1, 0, 3) if together else forces  # (set-up, blow, reference, time)
     setups, n_times = [", ".join(labels[0])] if together else labels[0], forces.shape[3]
@@ -143,7 +128,7 @@ def frequency_response(
     require(one, message("method", "H1 where several references act at the same time", method))
     there = ~(np.isnan(forces).all((2, 3)) | np.isnan(motions).all((2, 3)))  # (set-up, blow)
     for name, values in (("excitation", forces), ("response", motions)):
-        check_finite(values[there], name, "NaN is for whole blows that are missing.")
+        checks.check_finite(values[there], name, "NaN is for whole blows that are missing.")
     loud = np.abs(forces) > HIT * np.abs(forces).max(-1, keepdims=True)
     is_blow = segment is None and forces.shape[2] == 1 and loud[there].mean() < SHORT
     there &= ~_left_out(leave_out, setups, there, forces, motions, loud & is_blow)
@@ -152,7 +137,7 @@ def frequency_response(
         window, overlap = np.exp(-decay * step * np.arange(size)), 0.0
         factor = size / (window[:n_used] ** 2).sum()  # behind what is used are zeros
     else:
-        n_used = size = round(check_positive(segment, "segment", "Pass seconds.") / step)
+        n_used = size = round(checks.check_positive(segment, "segment", "Pass seconds.") / step)
         what = f"8 samples or more within {n_times * step:g} s, and without `decay`"
         fits = 8 <= size <= n_times and not decay
         require(fits, message("segment", what, f"{segment:g} s and {decay:g} 1/s"))
@@ -162,22 +147,19 @@ def frequency_response(
     lines = (low <= frequency) & (frequency <= high)
     what = f"wider than {frequency[1]:g} Hz between lines"
     require(lines.any(), message("band", what, f"({low:g}, {high:g})"))
-    blow, counts, estimates = np.nan, [], []
+    counts, estimates = [], []
     for k, used in enumerate(there):
         X, Y = (_spectra(values[k, used], window)[..., lines] for values in (forces, motions))
         counts.append(len(X))
         estimates.append(_estimate(X, Y, frequency[lines], method, factor, overlap, setups[k]))
-    instants = np.full(len(setups), np.nan)
+    H, *rest = (np.concatenate(parts, axis=1) for parts in zip(*estimates, strict=True))
+    facts = {"n_averages": min(counts), "duration": float(n_used * step), "dt": step, "decay": decay}
+    data = dataset(H, labels, frequency[lines], pair, **facts)
     if is_blow:
         pulses = np.abs(forces * loud)[:, :, 0]
         at = step * (pulses @ np.arange(n_times) / np.maximum(pulses.sum(-1), np.finfo(float).tiny))
         instants = np.array([row[used].mean() for row, used in zip(at, there, strict=True)])
-        blow = float(instants.mean())
-    H, *rest = (np.concatenate(parts, axis=1) for parts in zip(*estimates, strict=True))
-    facts = {"n_averages": min(counts), "duration": float(n_used * step)}
-    facts |= {"dt": step, "decay": decay, "blow": blow}
-    data = dataset(H, labels, frequency[lines], pair, **facts)
-    if is_blow:
+        data = data.assign_attrs(blow=float(instants.mean()))
         data = data.assign_coords(blow=("reference", instants, {"units": "s"}))
     if min(counts) > forces.shape[2]:
         dims = data["frequency_response"].dims
@@ -197,26 +179,24 @@ def dataset(values, labels, frequency, pair, **facts) -> xr.Dataset:
 
 def _prepared(excitation, response, step, units):
     """Arrays (reference, blow, response, time), labels, step [s], units; whether references act together."""
-    names = [excitation] if isinstance(excitation, str) else as_list(excitation) or []
+    names = [excitation] if isinstance(excitation, str) else checks.as_list(excitation) or []
     if names and all(isinstance(name, str) for name in names):
-        sensors = check_array(response, sensors=True)["sensor"].values.tolist()
-        require({*names} <= {*sensors}, message("excitation", f"among the channels {sensors}", names))
-        rest = [name for name in sensors if name not in names]
-        excitation, response = response.sel(sensor=names), response.sel(sensor=rest)
-    axes = [v.coords if isinstance(v, xr.DataArray) else {} for v in (excitation, response)]
-    if all("reference" in coords and coords["reference"].ndim for coords in axes):  # in any order
-        response = response.sel(reference=axes[0]["reference"].values)
+        sensors = np.ravel(getattr(response, "coords", {}).get("sensor", [])).tolist()
+        what = f"among the channels {sensors} of `response`"
+        require({*names} <= {*sensors}, message("excitation", what, names))
+        check_array(response, sensors=True, name="response")
+        excitation, response = response.sel(sensor=names), response.drop_sel(sensor=names)
+    if all("reference" in getattr(values, "indexes", {}) for values in (excitation, response)):
+        response = response.sel(reference=excitation["reference"].values)  # which may be in any order
     if units is not None:
-        check_choice(units, "units", RATIOS)
+        checks.check_choice(units, "units", RATIOS)
     places = ("reference", "time") if np.ndim(response) < 3 else ("reference", "blow", "time")
     steps, records, labels, pair = [] if step is None else [step], [], [], []
-    both = (
-        ("excitation", "reference", excitation, places, EXCITATIONS),
-        ("response", "response", response, DIMS, QUANTITIES),
-    )
-    for k, (name, axis, values, dims, allowed) in enumerate(both):
+    both = (excitation, places, EXCITATIONS), (response, DIMS, QUANTITIES)
+    for k, (values, dims, allowed) in enumerate(both):
+        name, axis = ("excitation", "reference") if k == 0 else ("response", "response")
         if not isinstance(values, xr.DataArray):
-            values = as_numbers(values, name)
+            values = checks.as_numbers(values, name)
             fits = 0 < values.ndim <= len(dims)
             require(fits, message(name, f"an array ({', '.join(dims)})", f"shape {values.shape}"))
             values = xr.DataArray(values, dims=dims[-values.ndim :])
@@ -225,59 +205,45 @@ def _prepared(excitation, response, step, units):
         is_record = "time" in values.dims and {*values.dims} <= {*DIMS}
         require(is_record, message(name, f"an array of {', '.join(DIMS)}", values.dims))
         if "time" in values.coords:
-            steps.append(sampling_step(xr.zeros_like(values["time"], dtype=float)))
-        stated = values.coords["units"].values if "units" in values.coords else values.attrs.get("units", [])
-        stated = {*map(str, np.ravel(stated)), *([RATIOS[units][k]] if units else [])} or {*list(allowed)[:1]}
-        what = f"those of the {name}, one of {', '.join(allowed)}"
-        require(
-            len(stated) == 1 and stated <= {*allowed}, message("units", what, " and ".join(sorted(stated)))
-        )
+            steps.append(step_of(values, name))
+        stated = np.ravel(values.coords.get("units", values.attrs.get("units", [])))
+        stated = {*map(str, stated), *([RATIOS[units][k]] if units else [])} or {*list(allowed)[:1]}
+        what, is_known = f"those of the {name}, one of {', '.join(allowed)}", stated <= {*allowed}
+        require(len(stated) == 1 and is_known, message("units", what, " and ".join(sorted(stated))))
         whole = values.expand_dims([dim for dim in DIMS if dim not in values.dims]).transpose(*DIMS)
-        labels.append(
-            [str(n) for n in (whole[axis].values if axis in whole.coords else range(whole.sizes[axis]))]
-        )
+        labels.append([str(label) for label in whole[axis].values])
         records.append(whole.values.astype(np.float64, copy=False))
         pair += stated
     same = bool(steps) and max(steps) <= 1.001 * min(steps)
     require(same, message("dt", "given, and that of the coordinates `time`", f"{steps or None} s"))
-    step, together = check_positive(steps[0], "dt", "Pass seconds."), "reference" not in values.dims
+    step, together = checks.check_positive(steps[0], "dt", "Pass seconds."), "reference" not in values.dims
     return records, labels, step, pair, together
 
 
 def _left_out(leave_out, setups, there, forces, motions, loud) -> np.ndarray:
     """Which blows (set-up, blow) are not used; warn of those that are doubtful."""
-    doubts = {}
+    doubts, word = {}, "blow" if loud.any() else "record"
     for k, n in np.argwhere(there):
-        pulses = _runs(loud[k, n, 0])
+        pulses = np.flatnonzero(np.diff(np.r_[False, loud[k, n, 0], False])).reshape(-1, 2)  # begin, end
         gaps = pulses[1:, 0] - pulses[:-1, 1]
         hits = 1 + (gaps > 0.5 * np.diff(pulses).max(initial=0)).sum()  # shorter gaps are noise of one
         over = sum(bool(flat_tops(x)) for x in (*forces[k, n], *motions[k, n]))
         says = [f"{hits} hits"] * int(hits > 1) + [f"{over} of its channels overloaded"] * int(over > 0)
         doubts |= {(setups[k], int(n)): " and ".join(says)} if says else {}
-    pairs = list(doubts) if isinstance(leave_out, str) and leave_out == "doubtful" else as_list(leave_out)
-    blows = [[(a, n) for n in range(there.shape[1])] for a in setups]
-    are_there = pairs is not None and all(
-        isinstance(pair, tuple) and pair in sum(blows, []) for pair in pairs
-    )
-    what = f'"doubtful" or pairs (reference, blow), from {blows[0][0]} to {blows[-1][-1]}'
-    require(are_there, message("leave_out", what, shown(leave_out)))
-    word = "blow" if loud.any() else "record"
-    if doubtful := [
-        f"{word} {n} of {a!r} has {text}" for (a, n), text in doubts.items() if (a, n) not in pairs
-    ]:
-        warn_channel(f'Doubtful: {"; ".join(doubtful)}. Leave them out by leave_out="doubtful", or by pairs.')
-    return np.array([[pair in pairs for pair in row] for row in blows])
-
-
-def _runs(flags: np.ndarray) -> np.ndarray:
-    """First and one past the last place of each run of True (run, 2)."""
-    return np.flatnonzero(np.diff(np.r_[False, flags, False])).reshape(-1, 2)
+    blows = [(a, n) for a in setups for n in range(there.shape[1])]
+    named = doubts if isinstance(leave_out, str) and leave_out == "doubtful" else checks.as_list(leave_out)
+    are_there = named is not None and all(isinstance(pair, tuple) and pair in blows for pair in named)
+    what = f'"doubtful" or pairs (reference, blow), from {blows[0]} to {blows[-1]}'
+    require(are_there, message("leave_out", what, checks.shown(leave_out)))
+    if says := [f"{word} {n} of {a!r} has {doubts[a, n]}" for a, n in doubts if (a, n) not in named]:
+        warn_channel(f'Doubtful: {"; ".join(says)}. Leave them out by leave_out="doubtful", or by pairs.')
+    return np.reshape([pair in named for pair in blows], there.shape)
 
 
 def _spectra(values: np.ndarray, window: np.ndarray) -> np.ndarray:
     """Spectra (average, channel, line) of records (blow, channel, time), whole or in segments less mean."""
-    size, is_whole = window.size, window[0] > 0.0
-    if not is_whole:
+    size = window.size
+    if window[0] == 0.0:  # of Hann
         parts = sliding_window_view(values, size, axis=-1)[:, :, :: size - size // 2].swapaxes(1, 2)
         values = (parts - parts.mean(-1, keepdims=True)).reshape(-1, values.shape[1], size)
     return np.fft.rfft(values * window)
@@ -294,7 +260,9 @@ def _estimate(X, Y, f, method, factor, overlap, place) -> tuple[np.ndarray, ...]
     weak = f[np.linalg.eigvalsh(power / scale[:, None] / scale[:, :, None])[:, 0] < RANK]
     what = f"present at all lines, and of independent references, in {n} averages"
     advice = "Narrow `band`, shorten `segment`, or leave references out."
-    require(not weak.size, message("excitation", what, f"that of {place} at {listed(weak, 3)} Hz", advice))
+    require(
+        not weak.size, message("excitation", what, f"that of {place} at {checks.listed(weak, 3)} Hz", advice)
+    )
     overlap = 1.0 + 2.0 * overlap * (n - 1) / max(n, 1)  # by which segments are fewer
     rest, weights = max(n - m * overlap, 1e-9), np.ones((n, Y.shape[1]))
     width = min(int(np.ceil(LINES * factor / rest)), n_lines)

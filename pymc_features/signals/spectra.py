@@ -25,8 +25,8 @@ def low_frequency_gains(
     """Gain, time lag and coherence of every channel against the base, below the first natural frequency.
 
     There the floors move with the base, y(t) = gain x(t - lag), with gains a little above 1 that grow with
-    height. Estimated from the cross-spectrum over the band: the lag by least squares of the phase, weighted
-    by the coherence, after whole samples by the largest cross-correlation; the gain by regression.
+    height. The lag is that of the largest cross-correlation in whole samples, and beyond by least squares of
+    the phase of the cross-spectrum, weighted by the coherence; the gain is by regression.
 
     Parameters
     ----------
@@ -48,16 +48,14 @@ def low_frequency_gains(
     Damping delays the floors too, by (1 - 1/gain) zeta / (pi f_1) well below f_1. A lag in a motion of a
     single frequency is ambiguous by its period: what tells are the start and the end of the motion.
 
-    Of a channel with gaps, NaN, the part between two of them counts in which the base moves most; all of it,
-    at rest in the gaps, where such parts are short and less than 5 % is missing. Otherwise all numbers are
-    NaN.
+    Of a channel with gaps, NaN, the part between two of them counts in which the base moves most; where these
+    are short, all of it, at rest in the gaps, if less than 5 % is missing, and else all numbers are NaN.
 
     References
     ----------
     Bendat and Piersol, Random Data, 4th ed., sections 5.2 (delays) and 9.2 (errors of gain and phase).
     """
-    check_array(channels, sensors=True)
-    step = sampling_step(channels)
+    step = sampling_step(check_array(channels, sensors=True))
     low, high = check_band(band, step)
     names = [str(name) for name in sensor_names(channels)]
     values = channels.values.astype(np.float64)
@@ -65,10 +63,8 @@ def low_frequency_gains(
     shortest = max(_BINS / (high - low), 2.0 / low) / step
     size = max(x.size // _SEGMENTS, int(np.ceil(shortest)))
     if x.size < 2 * size:
-        raise ValueError(
-            f"`channels` must last at least {2 * size * step:.3g} s for the band {low:g} to {high:g} Hz, got "
-            f"{x.size * step:.3g} s. Widen the band or take a longer window."
-        )
+        what = f"{2 * size * step:.3g} s for the band {low:g} to {high:g} Hz, got {x.size * step:.3g} s"
+        raise ValueError(f"`channels` must last at least {what}. Widen the band or take a longer window.")
     parts = [where_both(x, y, 2 * size) for y in values]
     unknown = (np.nan,) * len(COLUMNS)
     rows = [unknown if part is None else _compare(*part, step, (low, high), size) for part in parts]
@@ -79,11 +75,7 @@ def low_frequency_gains(
 
 
 def where_both(x, y, shortest: int):
-    """What two series (time,) say without the gaps of either; None where that is too little.
-
-    It is the part between two gaps, not shorter than some samples, in which x moves most. Where that is
-    little, and the gaps are few, both are zero about their means in the gaps: where y = gain x it stays so.
-    """
+    """What two series (time,) say without the gaps of either, None where that is too little; see above."""
     gaps = np.isnan(x) | np.isnan(y)
     if not gaps.any():
         return x, y
@@ -95,7 +87,7 @@ def where_both(x, y, shortest: int):
         return x[first:last], y[first:last]
     if gaps.mean() > _FEW:
         return None
-    return tuple(np.where(gaps, 0.0, z - z[~gaps].mean()) for z in (x, y))
+    return tuple(np.where(gaps, 0.0, z - z[~gaps].mean()) for z in (x, y))  # y = gain x stays so
 
 
 def base_index(channels: xr.DataArray, base) -> int:
@@ -175,6 +167,5 @@ def averaged_spectra(values: np.ndarray, dt: float) -> Spectra:
     from scipy import signal  # a second to import
 
     length = min(values.shape[1], 2 * values.shape[1] // (SEGMENTS + 1))
-    f, _ = signal.welch(values[0], 1.0 / dt, nperseg=length)
-    rows = [[signal.csd(a, b, 1.0 / dt, nperseg=length)[1] for b in values] for a in values]
-    return Spectra(f, np.array(rows).transpose(2, 0, 1), length)
+    f, matrices = signal.csd(values[:, None], values[None], 1.0 / dt, nperseg=length)
+    return Spectra(f, matrices.transpose(2, 0, 1), length)

@@ -63,7 +63,7 @@ def test_channels_that_are_not_asked_for_do_not_block(file):
         np.testing.assert_array_equal(read_channels(path, columns=columns).values[0], VALUES)
     np.testing.assert_array_equal(read_record(path, column="1Z").acceleration, VALUES)
     for columns in (None, "9Z"):
-        with pytest.raises(ValueError, match="hold accelerations, the data set '9Z' says data of type 13"):
+        with pytest.raises(ValueError, match="hold accelerations, the data set '9Z' says force"):
             read_channels(path, columns=columns)
 
 

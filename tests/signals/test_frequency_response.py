@@ -326,9 +326,8 @@ def test_the_motion_of_a_base():
     np.testing.assert_allclose(frf["frequency_response"][:, 0], truth, atol=0.02 * np.abs(truth).max())
     apart = frequency_response(channels.sel(sensor="base"), channels.sel(sensor=["1", "2"]), segment=8.0)
     assert apart["frequency_response"].sel(frequency=slice(2.0, 90.0)).identical(frf["frequency_response"])
-    with pytest.raises(
-        ValueError, match=r"`excitation` must be among the channels \['base', '1', '2'\], got \['hammer"
-    ):
+    text = r"`excitation` must be among the channels \['base', '1', '2'\] of `response`, got \['hammer"
+    with pytest.raises(ValueError, match=text):
         frequency_response("hammer", channels)
 
 

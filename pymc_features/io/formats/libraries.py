@@ -1,9 +1,8 @@
-"""What other libraries read or hold: Universal Files, seismograms, TDMS, Parquet, HDF5, and data in memory.
+"""What other libraries read or hold: Universal Files, seismograms, TDMS, Parquet, and data in memory.
 
-Of Universal Files time histories are read, data sets 58 in text or binary numbers; spectra, which stand in
-the same data sets, are refused, and frequency response functions left to `read_frequency_response`. ObsPy is
-asked for formats by name, never to find them out: its detection opens pickles. Its reader of GSE2 is left
-out, since a damaged file ends the process.
+Of Universal Files data sets 58 are read: time histories here, in text or binary numbers, frequency response
+functions by `read_frequency_response`. ObsPy is asked for formats by name, never to find them out: its
+detection opens pickles. Its reader of GSE2 is left out, since a damaged file ends the process.
 
 Čermelj, P., Slavič, J. et al., pyuff, https://github.com/ladisk/pyuff; Structural Dynamics Research
 Corporation, Universal File Dataset 58. Krischer, L. et al. (2015), ObsPy: a bridge for seismology into the
@@ -40,6 +39,9 @@ KNOWN = {15, 18, 27, 30, 31, 55, 56, 57, 58, 82, 151, 156, 164, 241, 250, 252, 2
 KNOWN |= {770, 771, 772, 773, 774, 775, 776, 777, 778, 779, 780, 781, 789, 790, 791, 1710, 1715, 1716, 1717}
 KNOWN |= {1802, 1807, 1808, 1809, 1858, 1860, 3062, *range(2400, 2500)}
 AXES = ("X", "Y", "Z", "RX", "RY", "RZ")  # directions 1 to 6
+VERSIONS = (6, 7)  # of the SAC header
+SAC = "f300xi8xi"  # step, and behind what is skipped version and count, of 632 bytes in all
+SEP005 = "data", "name", "unit_str"
 #: Columns of whole numbers of records 6, of types, nodes and directions, and 7, above the step.
 COLUMNS = {6: [(0, 5), (5, 15), (15, 20), (20, 30), (41, 51), (51, 55), (66, 76), (76, 80)]}
 COLUMNS |= {7: [(0, 10), (10, 20), (20, 30)]}
@@ -47,7 +49,8 @@ RIGHT = re.compile(r" *[-+]?\d+")
 #: How a file begins: -1 in columns 5 and 6, and a number that ends in column 6 below it.
 UNIVERSAL = rb"[\r\n]*    -1[ \t]*(?:\r\n|\r|\n) *\d+(?<=[\r\n].{6})"
 TYPES = {"strain": 2, "displacement": 8, "force": 9, "velocity": 11, "acceleration": 12, "pressure": 15}
-QUANTITY_OF_TYPE = {number: name for name, number in TYPES.items()} | {0: None, 1: None}  # which do not say
+QUANTITY_OF_TYPE = {number: name for name, number in TYPES.items()} | {13: "force"}  # that excites
+QUANTITY_OF_TYPE |= {0: None, 1: None}  # which do not say
 
 
 def is_mark(line: str) -> bool:
@@ -55,19 +58,51 @@ def is_mark(line: str) -> bool:
     return line[:6].strip() == "-1" and not line[6:].strip()
 
 
-def read_universal(path: Path, request: Request) -> Recording:
-    """All time histories of a file, named by node and direction; why one that is spoilt cannot be taken."""
+def universal_sets(path: Path) -> tuple[list[int], list[dict]]:
+    """Numbers of all data sets of a file, and its functions as pyuff reads them, beside all `raw` bytes."""
     raw = path.read_bytes()
     if not raw.rstrip().endswith(b"    -1"):
         raise ValueError(f"{path.name} ({NAME}) must end in a line of -1, it does not. Fetch it again.")
-    _check_text(path, raw)
     with by_library("pyuff", "modal", path, "Universal"), warnings.catch_warnings():
         import pyuff
 
         warnings.simplefilter("ignore")
         file = pyuff.UFF(str(path))
         kinds = [int(kind) for kind in file.get_set_types()]
-        sets = [file.read_sets(k) for k, kind in enumerate(kinds) if str(kind) == FUNCTIONS]
+        places = [k for k, kind in enumerate(kinds) if str(kind) == FUNCTIONS]
+        return kinds, [file.read_sets(k) | {"raw": raw} for k in places]
+
+
+def numbers_of(found: dict, source: str) -> tuple[np.ndarray, np.ndarray]:
+    """Values and abscissa of a function, of which no byte was lost or added."""
+    values, x, n = np.asarray(found["data"]), np.asarray(found["x"], dtype=np.float64), found["num_pts"]
+    if n < values.size < n + 6 and not values[n:].any():  # zeros fill the last line of six up
+        values, x = values[:n], x[:n]
+    if values.size != n or x.size != n or n < 2 or not np.isfinite(x).all():
+        what = f"the {n} samples of its header must be there, got {values.size}"
+        raise ValueError(f"{source}: {what}. Fetch it again.")
+    if found["binary"]:  # numbers must reach to the end of the data set
+        order, single = found["byte_ordering"], found["ord_data_type"] in (2, 5)
+        last = np.array(values[-1:]).view(np.float64)[-1:]
+        last = last.astype(f"{'<' if order == 1 else '>'}f{4 if single else 8}").tobytes()
+        whole = any(last + end + b"    -1" in found["raw"] for end in (b"", b"\n", b"\r\n"))
+        if order not in (1, 2) or found["fp_format"] != 2 or not whole:
+            what = "IEEE, 2, of byte order 1 or 2, and reach to the end of their data set"
+            got = f"{found['fp_format']} and {order}. Fetch the file again."
+            raise ValueError(f"{source}: binary numbers must be {what}, got {got}")
+    return values, x
+
+
+def unit_on(found: dict, axis: str) -> str:
+    """The unit on an axis of a function, empty if there is none."""
+    text = found.get(f"{axis}_axis_units_lab", "").strip().replace("\ufffd", "²")  # of Latin-1
+    return "" if text.lower() == "none" else text
+
+
+def read_universal(path: Path, request: Request) -> Recording:
+    """All time histories of a file, named by node and direction; why one that is spoilt cannot be taken."""
+    _check_text(path, path.read_bytes())
+    kinds, sets = universal_sets(path)
     if not sets:
         held = f"the data sets {listed(list(dict.fromkeys(kinds)))[:200]}. Read modes by `read_modal`."
         raise ValueError(f"{path.name} ({NAME}) must hold time histories in data sets 58, got {held}")
@@ -79,51 +114,38 @@ def read_universal(path: Path, request: Request) -> Recording:
         axis = dict(enumerate(AXES, 1)).get(abs(direction), "")
         name = f"{found['rsp_node']}{'-' if direction < 0 else ''}{axis}"
         try:
-            channels.append(_history(name, found, raw))
+            channels.append(_history(name, found, f"{path.name} ({NAME}), {name}"))
         except ValueError as error:
-            channels.append(Channel(name, np.zeros(0), problem=f"{path.name} ({NAME}), {name}: {error}"))
+            channels.append(Channel(name, np.zeros(0), problem=str(error)))
     if len({channel.start for channel in channels if not channel.problem}) < 2:
         channels = [channel._replace(start=None) for channel in channels]
     return Recording(path.name, channels)
 
 
-def _history(name: str, found: dict, raw: bytes) -> Channel:
+def _history(name: str, found: dict, source: str) -> Channel:
     """The numbers of a data set on their clock."""
     if found["func_type"] != 1 or np.iscomplexobj(found["data"]):
         advice = "Read frequency response functions by `io.read_frequency_response`."
-        raise ValueError(f"functions must be time histories, type 1, got type {found['func_type']}. {advice}")
-    values, times = (np.asarray(found[key], dtype=np.float64) for key in ("data", "x"))
-    n = found["num_pts"]
-    if n < values.size < n + 6 and not values[n:].any():  # zeros fill the last line of six up
-        values, times = values[:n], times[:n]
-    if values.size != n or times.size != n or n < 2 or not np.isfinite(times).all():
-        raise ValueError(f"the {n} samples of its header must be there, got {values.size}. Fetch it again.")
-    if found["binary"]:  # which must reach to the end of the data set, else a byte was lost or added
-        order, single = found["byte_ordering"], found["ord_data_type"] in (2, 5)
-        last = values[-1:].astype(f"{'<' if order == 1 else '>'}f{4 if single else 8}").tobytes()
-        whole = any(last + end + b"    -1" in raw for end in (b"", b"\n", b"\r\n"))
-        if order not in (1, 2) or found["fp_format"] != 2 or not whole:
-            raise ValueError(
-                "binary numbers must be IEEE, 2, of byte order 1 or 2, and reach to the end of their data "
-                f"set, got {found['fp_format']} and {order}. Fetch the file again."
-            )
-    labels = (found.get(f"{axis}_axis_units_lab", "").strip() for axis in ("abscissa", "ordinate"))
-    label, unit = ("" if text.lower() == "none" else text for text in labels)
-    clock = unit_of(label or "s")
-    if clock is None or clock.quantity != "time":
-        raise ValueError(f"times must be in a unit of time, got {label!r}. Export seconds.")
+        got = f"got type {found['func_type']}. {advice}"
+        raise ValueError(f"{source}: functions must be time histories, type 1, {got}")
+    values, times = numbers_of(found, source)
+    clock = unit_of(label := unit_on(found, "abscissa") or "s", "time")
+    if clock is None:
+        raise ValueError(f"{source}: times must be in a unit of time, got {label!r}. Export seconds.")
     times = clock.factor * times
     quantum = 1e-5 * float(np.abs(times).max())  # six digits are printed
-    spacing = even_or_times(times, quantum, lambda row: f"sample {row}")
+    spacing = even_or_times(times, quantum, lambda row: f"{source}: sample {row}")
     quantity = QUANTITY_OF_TYPE.get(kind := found["ordinate_spec_data_type"], f"data of type {kind}")
-    return Channel(name, values, unit or None, **spacing, start=float(times[0]), quantity=quantity)
+    unit, values = unit_on(found, "ordinate") or None, values.astype(np.float64)
+    return Channel(name, values, unit, **spacing, start=float(times[0]), quantity=quantity)
 
 
 def _check_text(path: Path, raw: bytes) -> None:
     """Look at the columns of records 6 and 7 of data sets, and at the widths of lines of numbers in text."""
     for found in re.finditer(rb"(?m)^    -1\s*?\n    58.*\n((?:.*\n){7})", raw.replace(b"\r\n", b"\n")):
-        for record, line in zip((6, 7), found[1].decode("latin-1").split("\n")[5:], strict=False):
-            cells = [line[begin:end] for begin, end in COLUMNS[record]]
+        lines = found[1].decode("latin-1").split("\n")[5:]
+        for (record, columns), line in zip(COLUMNS.items(), lines, strict=False):
+            cells = [line[begin:end] for begin, end in columns]
             if odd := [cell for cell in cells if cell.strip() and not RIGHT.fullmatch(cell)]:
                 said = f"got {odd[0]!r}. Is a character lost or added, and a node or the step with it?"
                 where = f"{path.name}, record {record} of a data set 58"
@@ -134,10 +156,6 @@ def _check_text(path: Path, raw: bytes) -> None:
         for first, last in zip(marks[::2], marks[1::2], strict=False):
             if lines[first + 1][1].strip() == FUNCTIONS:
                 warn_of_widths(path.name, lines[first + 13 : last])
-
-
-VERSIONS = (6, 7)  # of the SAC header
-SAC = "f300xi8xi"  # step, and behind what is skipped version and count, of 632 bytes in all
 
 
 def _is_sac(opening: Opening) -> bool:
@@ -217,10 +235,9 @@ def stamped_steps(path: Path, stream) -> dict[str, float]:
         step = float(np.polyfit(places, begins - begins[0], 1)[0])
         if abs(step / stated - 1.0) * counts.sum() > 0.5:
             found[name] = step
-            warn_caller(
-                f"{path.name}: the header of {name} states a step of {stated:.6g} s, the times of its "
-                f"{len(own)} records {step:.6g} s, which is used. Check the clock of the logger."
-            )
+            said = f"a step of {stated:.6g} s, the times of its {len(own)} records {step:.6g} s"
+            advice = "which is used. Check the clock of the logger."
+            warn_caller(f"{path.name}: the header of {name} states {said}, {advice}")
     return found
 
 
@@ -237,11 +254,9 @@ def read_tdms(path: Path, request: Request) -> Recording:
         name = channel.name if len(groups) == 1 else f"{group.name}/{channel.name}"
         unit = str(facts.get("unit_string") or facts.get("NI_UnitDescription") or "") or None
         step, start = float(facts.get("wf_increment", 0.0)) or None, facts.get("wf_start_time")
-        if isinstance(start, np.datetime64) and start > np.datetime64("1971"):  # 1904 is none
-            start = float(start.astype("datetime64[us]").astype(np.int64)) * 1e-6
-            start += float(facts.get("wf_start_offset", 0.0))
-        else:
-            start = None
+        is_start = isinstance(start, np.datetime64) and start > np.datetime64("1971")  # 1904 is none
+        start = float(start.astype("datetime64[us]").astype(np.int64)) * 1e-6 if is_start else None
+        start = start and start + float(facts.get("wf_start_offset", 0.0))
         problem = ""
         if values.dtype.kind not in "iuf" or values.size < 2:
             problem = f"{path.name}, {name}: values must be numbers, at least 2, got {values.size} others."
@@ -257,9 +272,6 @@ def read_parquet(path: Path, request: Request) -> Recording:
     with by_library("pyarrow", "daq", path, "Parquet", "Save it again."):
         frame = pd.read_parquet(path)
     return recording_in(frame, request)._replace(file=path.name)
-
-
-SEP005 = "data", "name", "unit_str"
 
 
 def is_source(value) -> bool:
@@ -304,14 +316,14 @@ def _of_frame(frame, request: Request) -> Recording:
     labels = [Label.of(str(name)) for name in frame.columns]
     if other := [str(name) for name, kind in frame.dtypes.items() if kind.kind not in "iufb"]:
         raise ValueError(f"`files` must hold numbers, got a DataFrame with {listed(other)}. Drop these.")
-    values, stamp, origin, index = frame.to_numpy(dtype=np.float64), None, 0.0, frame.index
+    values, origin, index = frame.to_numpy(dtype=np.float64), 0.0, frame.index
     dates = index.dtype.kind in "mM"
     if dates or (index.name is not None and role_of(str(index.name)) == "time"):
         origin, seconds = _seconds(index.to_numpy())
-        values, stamp = np.insert(values, 0, seconds, axis=1), 0 if dates else None
+        values = np.insert(values, 0, seconds, axis=1)
         labels = [Label("time", "time") if dates else Label.of(str(index.name)), *labels]
     table = Columns("the DataFrame", labels, values[request.skip :], lambda row, _: f"row {row}")
-    return recording_of(table._replace(stamp=stamp, origin=origin), request)
+    return recording_of(table._replace(stamp=0 if dates else None, origin=origin), request)
 
 
 def _seconds(times: np.ndarray) -> tuple[float, np.ndarray]:
@@ -328,17 +340,14 @@ def _of_array(array) -> list[Channel]:
     if not set(array.dims) <= {"sensor", "time"} or "time" not in array.dims:
         raise ValueError(message("files", "a DataArray (sensor, time)", array.dims, "Transpose it."))
     whole = array if "sensor" in array.dims else array.expand_dims("sensor")
-    whole = whole.transpose("sensor", "time")
-    names = whole["sensor"].values if "sensor" in array.coords else range(whole.sizes["sensor"])
-    one = [array.attrs.get("units")] * len(names)
-    units = whole.coords["units"].values if "units" in whole.coords else one
-    times, unit, start = None, "s", None
+    whole, place = whole.transpose("sensor", "time"), {}
     if "time" in array.coords:
         origin, times = _seconds(whole["time"].values)
         unit = "s" if whole["time"].dtype.kind in "mM" else str(whole["time"].attrs.get("units", "s"))
-        start = origin + float(array.attrs.get("start", 0.0))
-    rows = zip(names, whole.values, units, strict=True)
-    return [_timed(name, row, said, times, unit, start) for name, row, said in rows]
+        place = _clock("the DataArray", times, unit, origin + float(array.attrs.get("start", 0.0)))
+    units = np.asarray(whole.coords.get("units", array.attrs.get("units")), dtype=object)
+    rows = zip(whole["sensor"].values, whole.values, np.broadcast_to(units, len(whole)), strict=True)
+    return [_channel(name, row, unit, **place) for name, row, unit in rows]
 
 
 def _of_dict(entry: Mapping) -> Channel:
@@ -347,7 +356,7 @@ def _of_dict(entry: Mapping) -> Channel:
     if missing or not ("fs" in entry or "time" in entry):
         held = f"got one with {listed(list(entry))}. Complete it."
         raise ValueError(f"`files` must be dicts with {', '.join(SEP005)} and `fs` or `time`, {held}")
-    start = entry.get("start_timestamp")
+    start, name = entry.get("start_timestamp"), entry["name"]
     if isinstance(start, str):
         try:
             start = datetime.fromisoformat(start)
@@ -355,18 +364,21 @@ def _of_dict(entry: Mapping) -> Channel:
             raise ValueError(message("start_timestamp", "an ISO date", shown(start))) from None
     if isinstance(start, datetime):
         start = (start if start.tzinfo else start.replace(tzinfo=UTC)).timestamp()
-    dt = 1.0 / float(entry["fs"]) if "fs" in entry else None
-    return _timed(entry["name"], entry["data"], entry["unit_str"], entry.get("time"), "s", start, dt)
+    place = {"dt": 1.0 / float(entry["fs"]) if "fs" in entry else None, "start": start}
+    if entry.get("time") is not None:
+        place = _clock(name, entry["time"], "s", start or 0.0, place["dt"])
+    return _channel(name, entry["data"], entry["unit_str"], **place)
 
 
-def _timed(name, values, unit, times, time_unit: str, start, dt: float | None = None) -> Channel:
-    """A channel at its times (time,), which count from the start [s], or at a step [s]."""
-    if times is not None:
-        readings = np.asarray(times, dtype=np.float64)[:, None]
-        label = Label("time", "time", time_unit)
-        table = Columns(str(name), [label], readings, lambda row, _: f"{name}, sample {row}", dt=dt)
-        [clock] = recording_of(table, Request()).channels
-        dt, start = clock.dt, (start or 0.0) + clock.start
-    return Channel(
-        str(name), np.asarray(values, dtype=np.float64), None if unit is None else str(unit), dt, start=start
-    )
+def _channel(name, values, unit, **place) -> Channel:
+    """A channel of anything that holds numbers, in a unit or in None that is stated."""
+    unit = None if unit is None else str(unit)
+    return Channel(str(name), np.asarray(values, dtype=np.float64), unit, **place)
+
+
+def _clock(name, times, unit: str, start: float, dt: float | None = None) -> dict[str, float]:
+    """Step [s] of times (time,), which a step may be stated of, and start, from which they count [s]."""
+    readings, label = np.asarray(times, dtype=np.float64)[:, None], Label("time", "time", unit)
+    table = Columns(str(name), [label], readings, lambda row, _: f"{name}, sample {row}", dt=dt)
+    [clock] = recording_of(table, Request()).channels
+    return {"dt": clock.dt, "start": start + clock.start}

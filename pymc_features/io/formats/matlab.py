@@ -1,8 +1,7 @@
 """MATLAB .mat files: version 4 by SciPy, 5 to 7 by their layout, 7.3 and other HDF5 files by h5py.
 
 Arrays of numbers and text are read, those in structures too, as `name.field`. Objects, cells and function
-handles are passed over, nothing in the file is executed, and an HDF5 file cannot send the reader to another
-file.
+handles are passed over, nothing in a file is executed, and HDF5 cannot send the reader to another file.
 
 Versions 5 to 7: a header of 128 bytes, then elements of a type, a number of bytes, and those bytes; an array
 is an element of elements, and may be compressed. SciPy does not read these: it takes types and lengths as
@@ -20,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from pymc_features._checks import listed
-from pymc_features.io.reading.labels import Label, unit_of
+from pymc_features.io.reading.labels import Label, role_of, unit_of
 from pymc_features.io.reading.lines import check_size, most_bytes, shortened, to_number
 from pymc_features.io.reading.recording import Channel, Columns, Recording, Request, recording_of
 
@@ -204,14 +203,13 @@ def read_matlab(path: Path, request: Request) -> Recording:
     for name, value in variables.items():
         if isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and value.size > 1 and value.ndim <= 2:
             array = np.squeeze(value)
-            groups.setdefault((_inside(name), max(array.shape)), {})[name] = array
+            groups.setdefault((name.rpartition(".")[0], max(array.shape)), {})[name] = array
     for (_, n_times), arrays in groups.items():
-        times = [name for name in arrays if Label.of(name.rpartition(".")[2]).role == "time"]
+        times = [name for name in arrays if role_of(Label.of(name.rpartition(".")[2]).name) == "time"]
         if len(times) == len(arrays) and len(groups) > 1 and request.clock is None and request.dt is None:
-            others = [f"{name} {a.shape}" for group in groups.values() for name, a in group.items()]
-            others = f"{listed(others)}. Name the times by `clock`, or pass clock=False and `dt`."
-            what = f"`{times[0]}` must have one time for each sample, got {n_times}"
-            raise ValueError(f"{file}: {what} beside {others}")
+            others = listed([f"{name} {a.shape}" for group in groups.values() for name, a in group.items()])
+            what = f"`{times[0]}` must have one time for each sample, got {n_times} beside {others}"
+            raise ValueError(f"{file}: {what}. Name the times by `clock`, or pass clock=False and `dt`.")
     channels = []
     for (inside, n_times), arrays in groups.items():
         whole = {name: array for name, array in arrays.items() if array.shape != (n_times, n_times)}
@@ -219,12 +217,12 @@ def read_matlab(path: Path, request: Request) -> Recording:
         squares = [name for name in arrays if name not in whole]
         channels += [Channel(name, np.zeros(0), problem=f"{file}, `{name}`: {problem}") for name in squares]
         if whole and n_times - request.skip >= 2:
-            facts = {name: value for name, value in variables.items() if _inside(name) in (inside, "")}
+            facts = {of: value for of, value in variables.items() if of.rpartition(".")[0] in (inside, "")}
             units, dt = _stated(facts, inside, file, request.dt)
             columns = _columns(file, whole, n_times, request)._replace(units=units, dt=dt)
             names = [text for label in columns.labels for text in (label.text, label.name)]
-            known = request.clock in names or request.clock is False
-            clock = request.clock if known or len(groups) == 1 else None
+            is_clear = request.clock in names or request.clock is False or len(groups) == 1
+            clock = request.clock if is_clear else None
             found = recording_of(columns, request._replace(clock=clock)).channels
             of = (name for name, array in whole.items() for _ in range(array.size // n_times))
             channels += [channel._replace(label=name) for channel, name in zip(found, of, strict=True)]
@@ -234,33 +232,27 @@ def read_matlab(path: Path, request: Request) -> Recording:
     return Recording(file, channels, skipped=True)
 
 
-def _inside(name: str) -> str:
-    """The structure that a variable is in."""
-    return name.rpartition(".")[0]
-
-
 def _columns(file: str, arrays: dict[str, np.ndarray], n_times: int, request: Request) -> Columns:
     """Vectors and matrices of one length as a table."""
     labels, rows = [], []
     for name, array in arrays.items():
         histories = np.atleast_2d(array).astype(np.float64)
         histories = histories if histories.shape[1] == n_times else histories.T
-        label, inside = Label.of(name.rpartition(".")[2]), _inside(name)
-        one = Label(name, f"{inside}.{label.name}" if inside else label.name, label.unit)
+        inside, dot, own = name.rpartition(".")
+        one = Label(name, inside + dot + Label.of(own).name, Label.of(own).unit)
         several = [Label(f"{name} {k}", f"{name} {k}") for k in range(len(histories))]
         labels += [one] if len(histories) == 1 else several
         rows += list(histories)
     values = np.array(rows).T[request.skip :]
     eps = max((np.finfo(a.dtype).eps for a in arrays.values() if a.dtype.kind == "f"), default=0.0)
-    own = next(iter(arrays.values())).ndim == 1
-
-    def where(row: int, column: int) -> str:
-        return f"{file}, `{labels[column].text}`, sample {row + request.skip}"
-
-    def resolution(column: int) -> float:
-        return 4.0 * float(eps) * np.abs(values[:, column]).max()
-
-    return Columns(file, labels, values, where, resolution, own)
+    return Columns(
+        file,
+        labels,
+        values,
+        lambda row, column: f"{file}, `{labels[column].text}`, sample {row + request.skip}",
+        lambda column: 4.0 * float(eps) * np.abs(values[:, column]).max(),
+        own=next(iter(arrays.values())).ndim == 1,
+    )
 
 
 def _stated(facts: Mapping, inside: str, file: str, dt: float | None) -> tuple[str | None, float | None]:
@@ -268,24 +260,22 @@ def _stated(facts: Mapping, inside: str, file: str, dt: float | None) -> tuple[s
     units, steps = set(), {}
     for name, value in facts.items():
         key = re.sub("[_ ]", "", name.lower().rpartition(".")[2])
-        if value.size != 1 or key not in (*SCALARS, "units", "unit"):
+        stated = value.item() if value.size == 1 else None
+        if key in ("units", "unit") and isinstance(stated, str):
+            units.add(stated.strip())
+        if key not in SCALARS or stated is None:
             continue
-        number, unit = value.item(), SCALARS.get(key)
-        if unit is None:
-            units |= {number.strip()} if isinstance(number, str) else set()
-            continue
-        if isinstance(number, str):
-            text, _, word = number.strip().partition(" ")
-            number, unit = to_number(text), unit_of(word) if word else unit
-            if number is None or unit is None or unit.quantity not in ("time", "frequency"):
-                said = f"got {value.item()!r}. Correct it, or remove it and pass `dt`."
-                raise ValueError(f"{file}, `{name}`: a step or rate must be a number and a unit, {said}")
+        text, _, word = str(stated).strip().partition(" ")
+        number, unit = to_number(text), unit_of(word, "time", "frequency") if word else SCALARS[key]
+        if number is None or unit is None:
+            said = f"got {stated!r}. Correct it, or remove it and pass `dt`."
+            raise ValueError(f"{file}, `{name}`: a step or rate must be a number and a unit, {said}")
         if number > 0.0:
-            in_si = float(number) * unit.factor
+            in_si = number * unit.factor
             steps[name] = in_si if unit.quantity == "time" else 1.0 / in_si
     if len(units) > 1:
         raise ValueError(f"{file} contradicts itself, it states the units {listed(sorted(units))}.")
-    steps = {name: step for name, step in steps.items() if _inside(name) == inside} or steps
+    steps = {name: step for name, step in steps.items() if name.rpartition(".")[0] == inside} or steps
     first = next(iter(steps.values()), None)
     if dt is None and not all(np.isclose(step, first, rtol=1e-3, atol=0.0) for step in steps.values()):
         said = listed([f"{name}: {step:g} s" for name, step in steps.items()])

@@ -1,15 +1,13 @@
 """Strong-motion records: PEER AT2, ESM, K-NET, NSMN and UNAM; COSMOS, CSMIP, GeoNet and SMC in blocks.
 
-A reader takes the lines of a file and yields its channels; `LAYOUTS` is the table of readers. Pacific
-Earthquake Engineering Research Center, AT2 (spellings have varied over the decades). Luzi, L. et al. (2016),
-Engineering Strong Motion database, Seism. Res. Lett. 87, 987-997, with the labels of DYNA 1.2, in which the
-Turkish TADAS exports too. National Research Institute for Earth Science and Disaster Resilience, About K-NET
-ASCII format, https://www.kyoshin.bosai.go.jp/kyoshin/man/knetform_en.html. Disaster and Emergency Management
-Authority (AFAD), text files of the Turkish National Strong Motion Network, https://tadas.afad.gov.tr.
-Sociedad Mexicana de Ingenieria Sismica, archivo estandar de aceleracion 2.0. COSMOS Strong Motion Data
-Format, version 1.20, 2001, Tables 2 (units), 9 (text), 10 (integers) and 11 (reals). Shakal, A. F. and Huang,
-M. J. (1985), Standard Tape Format for CSMIP Strong-Motion Data Tapes, OSMS 85-03. GNS Science, GeoNet
-strong-motion data, formats of volumes 1 and 2,
+A reader takes the lines of a file and yields its channels; `LAYOUTS` is the table of readers. Luzi, L. et al.
+(2016), Engineering Strong Motion database, Seism. Res. Lett. 87, 987-997, with the labels of DYNA 1.2, in
+which the Turkish TADAS exports too. NIED, About K-NET ASCII format,
+https://www.kyoshin.bosai.go.jp/kyoshin/man/knetform_en.html. AFAD, text files of the Turkish National Strong
+Motion Network, https://tadas.afad.gov.tr. Sociedad Mexicana de Ingenieria Sismica, archivo estandar de
+aceleracion 2.0. COSMOS Strong Motion Data Format, version 1.20, 2001, Tables 2 (units), 9 (text), 10
+(integers) and 11 (reals). Shakal, A. F. and Huang, M. J. (1985), Standard Tape Format for CSMIP Strong-Motion
+Data Tapes, OSMS 85-03. GNS Science, GeoNet strong-motion data, formats of volumes 1 and 2,
 https://www.geonet.org.nz/data/supplementary/strong_motion_file_formats. U.S. Geological Survey, SMC-format
 Data Files, sections 3 and 4, https://escweb.wr.usgs.gov/nsmp-data/smcfmt.html.
 """
@@ -28,6 +26,17 @@ from pymc_features.io.reading.lines import Lines, column_width, finite, to_count
 from pymc_features.io.reading.recording import Channel, Recording, Request, even_or_times
 
 NO_SPECTRA = "the file must hold accelerations", "spectra (V3)", "Read the V2 file."
+KNET = "station code", "record time", "sampling freq(hz)", "duration time(s)", "dir"
+KNET += "scale factor", "max acc (gal)"
+DIRECTIONS = {"1": "NS1", "2": "EW1", "3": "UD1", "4": "NS2", "5": "EW2", "6": "UD2"}  # 2: at the surface
+DELAY = 15.0 + 9 * 3600.0  # [s], of the trigger, and of Japanese time on UTC
+UNITS = {2: (1.0, "g"), 4: (1.0, "cm/s^2"), 7: (0.0254, "m/s^2")}  # of COSMOS
+UNITS |= {10: (1.0, "gal"), 11: (1e-3, "g"), 12: (1e-6, "g")}
+QUANTITIES = ("accel", "veloc", "displ", "rotat", "angul", "press", "strain", "speed")
+UNCORRECTED, CORRECTED = "uncorrected accelerogram data", "corrected accelerogram"
+SPECTRA = "response and fourier"
+CSMIP = rf"\s*({UNCORRECTED}|{CORRECTED}.*\n.*uncorrected accelerogram|{SPECTRA}.*\n.*{CORRECTED})"
+TEXT_LINES, NUMBER_LINES = {1: 13, 2: 25}, {1: 14, 2: 20}  # by volume of CSMIP
 
 
 def positive(lines: Lines, value: float | None, what: str) -> float:
@@ -48,7 +57,7 @@ def number_after(text: str, phrase: str) -> float | None:
 def unit_in(text: str) -> str | None:
     """The first unit of acceleration among the words of a line, "cm/sec2" for example."""
     words = (word.strip(".;:") for word in re.split(r"[()=,\s]", text))
-    return next((word for word in words if unit_of(word) and unit_of(word).quantity == "acceleration"), None)
+    return next((word for word in words if unit_of(word, "acceleration")), None)
 
 
 def channel(lines: Lines, name: str, values: np.ndarray, unit, peak=None, factor=1.0, **place) -> Channel:
@@ -95,7 +104,7 @@ _GLUED = re.compile(r"(?<=[\d.])([-+])", re.ASCII)
 def read_at2(lines: Lines) -> Iterator[Channel]:
     """PEER AT2: what the values are, how many (NPTS) and how far apart (DT), in any words."""
     npts, header, values = next((k for k, line in lines if "NPTS" in line.upper()), 0), [], []
-    first, last = 0, 0
+    first = last = 0
     for number, line in lines:
         # Fortran glues a value to the one before it when both fill their fields
         tokens = _GLUED.sub(r" \1", line.replace(",", " ")).split()
@@ -121,8 +130,7 @@ def read_at2(lines: Lines) -> Iterator[Channel]:
     if not count and step:
         warn_caller(f"{lines.title} states its step, but no number of values (NPTS). Is it whole?")
     unit, words = _UNITS.search(text), _ACCELERATION_IN.search(text)
-    if unit is None and words is not None and unit_in(words[1]):
-        unit = words
+    unit = words if unit is None and words is not None and unit_in(words[1]) else unit
     dated = [line for line in header if _DATE.search(line)]
     lines.event = dated[0] if len(dated) == 1 else None
     step = to_number(step) if step else None  # DT = 0 states nothing
@@ -139,11 +147,9 @@ def read_esm(lines: Lines) -> Iterator[Channel]:
         raise lines.error("DATA_TYPE must be ACCELERATION", repr(kind), "Fetch the file of the acceleration.")
     values = lines.numbers(n_times, "values, NDATA")
     name, peak = facts.get("STREAM") or "acceleration", to_number(facts.get("PGA_CM/S^2", ""))
-    start, text = None, facts.get("DATE_TIME_FIRST_SAMPLE_YYYYMMDD_HHMMSS", "")
-    if text:
-        whole, _, fraction = text.partition(".")
-        start = _moment(lines, whole, "%Y%m%d_%H%M%S", "20190728_160919.870")
-        start += to_number(f"0.{fraction}") or 0.0
+    whole, _, fraction = facts.get("DATE_TIME_FIRST_SAMPLE_YYYYMMDD_HHMMSS", "").partition(".")
+    start = _moment(lines, whole, "%Y%m%d_%H%M%S", "20190728_160919.870") if whole else None
+    start = start and start + (to_number(f"0.{fraction}") or 0.0)
     lines.event = f"{facts.get('NETWORK', '')}.{facts.get('STATION_CODE', '')} {name}".strip(". ")
     yield channel(lines, name, values, facts.get("UNITS") or None, peak, dt=dt, start=start)
 
@@ -154,12 +160,6 @@ def _moment(lines: Lines, text: str, form: str, example: str) -> float:
         return datetime.strptime(text, form).replace(tzinfo=UTC).timestamp()
     except ValueError:
         raise lines.error(f"the time of the record must be as {example}", repr(text)) from None
-
-
-KNET = "station code", "record time", "sampling freq(hz)", "duration time(s)", "dir"
-KNET += "scale factor", "max acc (gal)"
-DIRECTIONS = {"1": "NS1", "2": "EW1", "3": "UD1", "4": "NS2", "5": "EW2", "6": "UD2"}  # 2: at the surface
-DELAY = 15.0 + 9 * 3600.0  # [s], of the trigger, and of Japanese time on UTC
 
 
 def read_knet(lines: Lines) -> Iterator[Channel]:
@@ -215,10 +215,9 @@ def read_unam(lines: Lines) -> Iterator[Channel]:
     counts = {to_count(text) for text in listed("NUM. TOTAL DE MUESTRAS")}
     steps = {to_number(text) for text in listed("INTERVALO DE MUESTREO")}
     if not directions or len(counts) != 1 or len(steps) != 1:
-        raise lines.error(
-            "the header must state orientations, one number of samples and one interval for all channels",
-            f"{len(directions)} orientations, {len(counts)} numbers, {len(steps)} intervals",
-        )
+        must = "the header must state orientations, one number of samples and one interval for all channels"
+        got = f"{len(directions)} orientations, {len(counts)} numbers, {len(steps)} intervals"
+        raise lines.error(must, got)
     n_times = positive(lines, counts.pop(), "the number of samples")
     dt = positive(lines, steps.pop(), "the interval")
     for text in listed("DURACION DEL REGISTRO"):  # a decimated file may state the step of the recorder
@@ -232,11 +231,6 @@ def read_unam(lines: Lines) -> Iterator[Channel]:
         yield channel(lines, name, column, unit, peak, dt=dt)
 
 
-UNITS = {2: (1.0, "g"), 4: (1.0, "cm/s^2"), 7: (0.0254, "m/s^2")}
-UNITS |= {10: (1.0, "gal"), 11: (1e-3, "g"), 12: (1e-6, "g")}
-QUANTITIES = ("accel", "veloc", "displ", "rotat", "angul", "press", "strain", "speed")
-
-
 def _counted(lines: Lines, what: str, *words: str) -> tuple[int, str]:
     """The number that begins the next line that is not blank, and the line, which has some words."""
     lines.peek()
@@ -248,9 +242,8 @@ def _counted(lines: Lines, what: str, *words: str) -> tuple[int, str]:
 
 
 def _comments(lines: Lines, count: int) -> None:
-    for _ in range(count):
-        if not lines.take(f"{count} comments").lstrip().startswith("|"):
-            raise lines.error("a comment must begin with |", "another line")
+    if not all(line.lstrip().startswith("|") for line in lines.several(count, "comments")):
+        raise lines.error("a comment must begin with |", "another line")
 
 
 def read_cosmos(lines: Lines) -> Iterator[Channel]:
@@ -290,12 +283,6 @@ def read_cosmos(lines: Lines) -> Iterator[Channel]:
             factor, unit = UNITS.get(to_count(code.partition(")")[0].strip()), (1.0, word.strip(" ,")))
             dt = steps[0] if steps else None
             yield channel(lines, name or "acceleration", values, unit, peak, factor, dt=dt)
-
-
-UNCORRECTED, CORRECTED = "uncorrected accelerogram data", "corrected accelerogram"
-SPECTRA = "response and fourier"
-CSMIP = rf"\s*({UNCORRECTED}|{CORRECTED}.*\n.*uncorrected accelerogram|{SPECTRA}.*\n.*{CORRECTED})"
-TEXT_LINES, NUMBER_LINES = {1: 13, 2: 25}, {1: 14, 2: 20}  # by volume
 
 
 def read_csmip(lines: Lines) -> Iterator[Channel]:
@@ -359,10 +346,9 @@ def read_geonet(lines: Lines) -> Iterator[Channel]:
         said, words = number_after(text[9], "points"), pairwise(text[10].split())
         steps = [to_number(number) for number, unit in words if unit.lower() in ("s", "sec")]
         if said != n_times or not steps or steps[0] is None or abs(steps[0] - dt) > 0.01 * dt:
-            raise lines.error(
-                f"the header must state one number of points and one step, in numbers {n_times} and {dt:g} s",
-                f"in words {text[9].strip()[:40]!r} and {text[10].strip()[:60]!r}",
-            )
+            must = f"one number of points and one step, in numbers {n_times} and {dt:g} s"
+            got = f"in words {text[9].strip()[:40]!r} and {text[10].strip()[:60]!r}"
+            raise lines.error(f"the header must state {must}", got)
         if text[13].split()[3:4] != ["mm/s/s"] or number_after(text[10], "in units of") not in (None, 1.0):
             raise lines.error("accelerations must be in mm/s/s", repr(text[13].strip()[:60]))
         values = lines.numbers(n_times, "accelerations", 8)

@@ -5,13 +5,13 @@ import re
 from array import array
 from contextlib import suppress
 from io import BytesIO
-from itertools import chain, islice, pairwise
+from itertools import chain, islice, pairwise, product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.io.reading.labels import BRACKETS, WORD, Label, unit_of
+from pymc_features.io.reading.labels import BRACKETS, WORD, Label, role_of, unit_of
 from pymc_features.io.reading.lines import Lines, finite, not_a_number, to_number
 from pymc_features.io.reading.recording import Columns, Recording, Request, clock_column, recording_of
 
@@ -20,6 +20,7 @@ SEPARATORS = ("\t", ";", "|", ",", " ")
 #: 20240131T120000, or without the T
 COMPACT = re.compile(rb"(?<![\d.])((?:19|20)\d\d)([01]\d)([0-3]\d)T?([0-2]\d)([0-5]\d)([0-5]\d)(?!\d)")
 NO_UNIT = {"", "-", "[]", "TS", "RN"}  # in a row of units; the last two in tables of Campbell's loggers, TOA5
+WRAPPED = "Pass wrapped=True if one series runs along the lines"
 MISSING = ("", "nan", "+nan", "-nan")  # cells of a gap, in lower case
 MOST_HEADER_LINES = 10_000
 FEW = 200_000  # characters that are read cell by cell before pandas is imported
@@ -129,9 +130,9 @@ def read_columns(path: Path, request: Request) -> Columns:
     labels, own, unit = _labels(header, layout)
     rows_in_line = 1.0
     if request.wrapped:
-        values = values.ravel()[~np.isnan(values.ravel())]
+        values = values[~np.isnan(values)]
         paired = values.size % 2 == 0 and is_paired(values.reshape(-1, 2), layout.count)
-        values = values.reshape(-1, 2) if paired else values[:, None]
+        values = values.reshape(-1, 1 + paired)
         rows_in_line = layout.count / values.shape[1]
         labels, own = [Label("", "")] * values.shape[1], False
     values = values[request.skip :]
@@ -143,8 +144,9 @@ def read_columns(path: Path, request: Request) -> Columns:
         return f"{path.name}, line {next(islice(_rows(lines, first), line, None))[0]}"
 
     def resolution(index: int) -> float:
-        rows = [*top[:-1], *bottom[1:]] or top
-        return _resolution(rows, layout, index, np.abs(values[:, index]).max())
+        rows = [layout.cells(row.strip())[index : index + 1] for row in [*top[:-1], *bottom[1:]] or top]
+        largest, stamped = np.abs(values[:, index]).max(), layout.stamp[:1] == (index,)
+        return _resolution(sum(rows, []), largest, stamped)
 
     stamp = layout.stamp[0] if layout.stamp else None
     return Columns(path.name, labels, values, where, resolution, own, stamp, origin, unit)
@@ -156,10 +158,8 @@ def read_text(path: Path, request: Request) -> Recording:
     known = clock_column(columns, request.clock) is not None or columns.own
     question, n_columns = "", columns.values.shape[1]
     if request.wrapped is None and n_columns > 2 and (not known or is_paired(columns.values, n_columns)):
-        question = (
-            f"`wrapped` must be given, {columns.file} has lines of {n_columns} values without labels or "
-            "clock. Pass wrapped=True if one series runs along the lines, else wrapped=False."
-        )
+        said = f"{columns.file} has lines of {n_columns} values without labels or clock"
+        question = f"`wrapped` must be given, {said}. {WRAPPED}, else wrapped=False."
     return recording_of(columns, request, question)
 
 
@@ -186,23 +186,16 @@ def _header(lines: Lines) -> tuple[list[tuple[int, str, bool]], int, Layout]:
             break
     if not header:
         raise ValueError(f"{lines.file} must hold at least 2 samples, it is empty.")
-    words = (_word_among_numbers(number, line) for number, line, comment in header if not comment)
-    raise ValueError(
-        f"{lines.file} must hold rows of numbers, none was found in its "
-        f"{'first ' * (len(header) == MOST_HEADER_LINES)}{len(header)} lines. {next(filter(None, words), '')}"
-        "A row is numbers, or a time stamp and numbers, with a comma, semicolon, bar, tab or blank between."
-    )
-
-
-def _word_among_numbers(number: int, line: str) -> str:
-    """What keeps a line from being a row of numbers, as a sentence; "" of lines of words."""
-    for separator in SEPARATORS:
+    said = f"{'first ' * (len(header) == MOST_HEADER_LINES)}{len(header)} lines. "
+    for (number, line, comment), separator in product(header, SEPARATORS):
         cells = without_ends(split(line, separator))
         odd = [c for c in cells if to_number(c) is None and to_number(c.replace(",", ".")) is None]
-        if len(odd) > 0 and len(cells) > 1 + len(odd):
+        if odd and len(cells) > 1 + len(odd) and not comment:
             what = repr(odd[0] or "an empty cell")
-            return f"Line {number} has {what} among its numbers: leave such columns out. "
-    return ""
+            said = f"{said}Line {number} has {what} among its numbers: leave such columns out. "
+            break
+    row = "A row is numbers, or a time stamp and numbers, with a comma, semicolon, bar, tab or blank between."
+    raise ValueError(f"{lines.file} must hold rows of numbers, none was found in its {said}{row}")
 
 
 def _decimal_commas(lines: Lines, first: int, header, layout: Layout) -> Layout:
@@ -239,16 +232,12 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
         rest = [cell for cell in cells if not (stamped and STAMP.fullmatch(cell))]
         odd = [cell for cell in rest if to_number(cell) is None]
         measured = sum("." in cell for cell in rest if to_number(cell) is not None)
-        begins = len(cells) == layout.n_columns > 1 and to_number(cells[0]) is not None
-        marks = not re.search("[A-Za-z]", "".join(odd))
-        beside = marks and len(rest) == measured + 1 > layout.n_columns  # a mark more
-        digits, letters = (sum(map(kind, cells[0])) for kind in (str.isdigit, str.isalpha))
-        spoilt = "." in cells[0] and digits > 2 * letters  # as L0.0000
-        illegible = not cells[0] or cells[0][0] in "0123456789.+-" or spoilt or beside
-        most = below_labels and 2 * measured >= len(cells)
+        beside = len(rest) == measured + 1 > layout.n_columns and not re.search("[A-Za-z]", "".join(odd))
+        numeric = beside or re.match(r"\D?[\d.+-]|$", cells[0])  # as L0.0000
+        most = 2 * measured >= len(cells)
         almost_all = number == first - 1 and 1 < layout.n_columns <= measured + 1 + stamped
+        is_row = numeric and ((below_labels and most) or almost_all)
         swallowed = almost_all and below_labels and measured > 1
-        is_row = (begins or illegible) and (most or almost_all)
         if is_row or swallowed or (stamped and 2 * measured >= len(rest) > 0):
             raise not_a_number(where, next(iter(odd), cells[0]))
         below_labels |= len(cells) == layout.n_columns and len(odd) == len(rest)
@@ -267,10 +256,11 @@ def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[L
     texts = [cells for cells in named if all(to_number(cell) is None for cell in cells)]
     if not texts:
         found = (unit.strip() for _, line, _ in header for unit in BRACKETS.findall(line))
-        known = (unit for unit in found if unit_of(unit) and unit_of(unit).quantity == "acceleration")
-        return [Label("", "")] * layout.n_columns, bool(units), next(known, None)
+        unit = next((unit for unit in found if unit_of(unit, "acceleration")), None)
+        return [Label("", "")] * layout.n_columns, bool(units), unit
     rows = [[Label.of(text) for text in cells] for cells in texts]
-    chosen = max(range(len(rows)), key=lambda k: (sum(label.role is not None for label in rows[k]), k))
+    n_roles = [sum(role_of(label.name) is not None for label in row) for row in rows]
+    chosen = max(range(len(rows)), key=lambda k: (n_roles[k], k))
     labels = []
     for k, text in enumerate(texts[chosen]):
         stated = (cells[k].strip("[]()") for cells in units if cells[k] not in NO_UNIT)
@@ -278,7 +268,7 @@ def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[L
         label = Label.of(text, next(stated, None))
         labels.append(label if label.unit is not None else label._replace(unit=next(elsewhere, None)))
     is_title = all(comment for _, line, comment in header if _named(line, layout) == texts[chosen])
-    told = any(label.role is not None for label in labels) or not is_title
+    told = any(role_of(label.name) for label in labels) or not is_title
     own = any(label.unit is not None for label in labels) or (layout.separator != " " and told)
     return labels, own, None
 
@@ -302,7 +292,6 @@ def _by_pandas(lines: Lines, start: int, first: str, layout: Layout) -> tuple[fl
     """Origin of the stamps and rows (row, column), all written as the first."""
     import pandas as pd  # half a second to import
 
-    old = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
     kinds = {k: str if k in layout.stamp else np.float64 for k in range(layout.count)}
     plain = not layout.stamp and not first.endswith(layout.separator)  # no column of texts, nor an empty one
     stream = BytesIO(lines.raw)  # which is not copied
@@ -315,7 +304,7 @@ def _by_pandas(lines: Lines, start: int, first: str, layout: Layout) -> tuple[fl
         dtype=np.float64 if plain else kinds,
         keep_default_na=False,
         skipinitialspace=f"{layout.separator} " in first,
-        **old,
+        float_precision="round_trip" if int(pd.__version__.split(".")[0]) < 3 else None,
     )
     while frame.shape[1] > layout.count and layout.separator != " " and (frame.iloc[:, -1] == "").all():
         frame = frame.iloc[:, :-1]  # a separator at the end of each row
@@ -342,10 +331,8 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
             short = number
             cells += [""] * (layout.n_columns - len(cells))
         elif short is not None:
-            raise ValueError(
-                f"{where}: only the last line of wrapped values may be shorter than the "
-                f"first, which has {layout.n_columns}. Complete the line before this one."
-            )
+            what = f"the first, which has {layout.n_columns}. Complete the line before this one"
+            raise ValueError(f"{where}: only the last line of wrapped values may be shorter than {what}.")
         for k, cell in enumerate(cells):
             if layout.stamp and k == layout.stamp[0] and STAMP.fullmatch(cell):
                 texts.append(cell)
@@ -355,10 +342,8 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
             else:
                 values.append(finite(cell, where))
         if len(cells) != layout.n_columns:
-            raise ValueError(
-                f"{where}: rows must have {layout.n_columns} values like the first, got {len(cells)}. "
-                "Complete or cut the row, or pass wrapped=True if one series runs along the lines."
-            )
+            said = f"rows must have {layout.n_columns} values like the first, got {len(cells)}"
+            raise ValueError(f"{where}: {said}. Complete or cut the row. {WRAPPED}.")
     found = np.array(values).reshape(-1, layout.n_columns)
     origin = 0.0
     if layout.stamp:
@@ -366,11 +351,9 @@ def _cell_by_cell(lines: Lines, first: int, layout: Layout, request: Request) ->
     return origin, found
 
 
-def _resolution(rows: list[str], layout: Layout, index: int, largest: float) -> float:
+def _resolution(cells: list[str], largest: float, stamped: bool) -> float:
     """Resolution of a printed column, from decimals and significant digits of some of its cells."""
-    cells = [layout.cells(row.strip())[index : index + 1] for row in rows]
-    cells = [cell for found in cells for cell in found]
-    if layout.stamp and index == layout.stamp[0]:
+    if stamped:
         stamps = (STAMP.fullmatch(cell) for cell in cells)
         return 10.0 ** min((1 - len(stamp["fraction"] or ".") for stamp in stamps if stamp), default=0)
     least, digits = 0, 1

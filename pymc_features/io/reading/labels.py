@@ -85,17 +85,17 @@ LOWER = {name.lower(): unit for name, unit in reversed(EXACT.items()) if name no
 
 
 @lru_cache(1024)
-def unit_of(text: str) -> Unit | None:
-    """The unit that a text is, in any usual spelling; None where it is none that is known."""
-    text = _SECOND.sub("s", text.replace("**", "").translate(_PLAIN).strip())
-    text = re.sub("/s/s$", "/s2", text, flags=re.IGNORECASE)
-    text = re.sub("^inch", "in", text, flags=re.IGNORECASE)
+def unit_of(text: str | None, *quantities: str) -> Unit | None:
+    """The unit that a text is, in any usual spelling, of one of some quantities or of any; else None."""
+    text = _SECOND.sub("s", (text or "").replace("**", "").translate(_PLAIN).strip())
+    text = re.sub("(?i)^inch", "in", re.sub("(?i)/s/s$", "/s2", text))
     if (inverse := _PER_SECOND.search(text)) and text[: inverse.start()].strip().lower() in LENGTHS:
         text = text[: inverse.start()] + ("/s2" if inverse[1] == "2" else "/s")
     text = text.replace(" ", "")
     one = text[:-1] if len(text) > 2 and text.endswith("s") else text  # minutes, kips
     ways = (text, EXACT), (one, EXACT), (text.lower(), LOWER), (one.lower(), LOWER)
-    return next((known[way] for way, known in ways if way in known), None)
+    unit = next((known[way] for way, known in ways if way in known), None)
+    return unit if unit is not None and unit.quantity in (quantities or UNITS) else None
 
 
 def role_of(label: str) -> str | None:
@@ -119,19 +119,9 @@ class Label(NamedTuple):
     unit: str | None = None  # in brackets, in a row of units, or behind a name of at least two letters
 
     @property
-    def known(self) -> Unit | None:
-        """The unit, if it is one that is known."""
-        return unit_of(self.unit or "")
-
-    @property
-    def role(self) -> str | None:
-        """See `role_of`."""
-        return role_of(self.name)
-
-    @property
     def seconds(self) -> float | None:
         """Seconds in the unit, if it is one of time."""
-        return self.known.factor if self.known is not None and self.known.quantity == "time" else None
+        return unit.factor if (unit := unit_of(self.unit, "time")) else None
 
     @classmethod
     def of(cls, text: str, unit: str | None = None) -> "Label":
@@ -164,10 +154,9 @@ def unit_factor(units, quantity: str = "acceleration", name: str = "units") -> f
     """SI units in one file unit of a quantity, in any usual spelling, or the factor itself, positive."""
     if not isinstance(units, str):
         return check_positive(units, name, f"Pass the {SI.get(quantity, 's')} per file unit.")
-    known = unit_of(units)
-    if known is None or known.quantity != quantity:
-        raise ValueError(message(name, f"one of {choices(quantity)}", shown(units)))
-    return known.factor
+    if unit := unit_of(units, quantity):
+        return unit.factor
+    raise ValueError(message(name, f"one of {choices(quantity)}", shown(units)))
 
 
 def sensitivity_of(sensitivity, quantity: str) -> float:
@@ -175,8 +164,8 @@ def sensitivity_of(sensitivity, quantity: str) -> float:
     if not isinstance(sensitivity, str):
         return check_positive(sensitivity, "sensitivity", f"Pass the V per {SI[quantity]}.")
     if found := _SENSITIVITY.fullmatch(sensitivity):
-        number, voltage, unit = float(found[1]), unit_of(found[2]), unit_of(found[3])
-        if number > 0.0 and voltage and unit and (voltage.quantity, unit.quantity) == ("voltage", quantity):
+        number, voltage, unit = float(found[1]), unit_of(found[2], "voltage"), unit_of(found[3], quantity)
+        if number > 0.0 and voltage and unit:
             return number * voltage.factor / unit.factor
     what = f'V per {SI[quantity]}, or a text such as "100 mV/{next(iter(UNITS[quantity]))}"'
     raise ValueError(message("sensitivity", what, shown(sensitivity)))
@@ -197,7 +186,7 @@ def resolve_units(channel, request, source: str) -> float:
     """SI units in one unit of a channel, by its file, or by the request where that does not say it."""
     quantity, units, stated = request.quantity, request.units, channel.unit
     said, by = channel.quantity, "data set"
-    known, voltage = unit_of(stated or ""), request.sensitivity is not None
+    known, voltage = unit_of(stated), request.sensitivity is not None
     if said is None and stated is None and not voltage and role_of(channel.name) in MEASURED:
         said, by = role_of(channel.name), "label"
     if said not in (None, quantity):
@@ -205,11 +194,10 @@ def resolve_units(channel, request, source: str) -> float:
         raise ValueError(f"{source} must hold {PLURALS[quantity]}, {what}")
     measured = "voltage" if voltage else quantity
     if known is not None and known.quantity != measured:
-        advice = f"Pass the columns that are {PLURALS[measured]}."
-        if known.quantity == "voltage":
-            advice = f'Pass `sensitivity`, such as "100 mV/({next(iter(UNITS[quantity]))})".'
+        volts = f'`sensitivity`, such as "100 mV/({next(iter(UNITS[quantity]))})"'
+        advice = volts if known.quantity == "voltage" else f"the columns that are {PLURALS[measured]}"
         beside = "" if units is None else f", beside units={shown(units)}"
-        what = f"it states {stated!r}, a unit of {known.quantity}{beside}. {advice}"
+        what = f"it states {stated!r}, a unit of {known.quantity}{beside}. Pass {advice}."
         raise ValueError(f"{source} must hold {PLURALS[measured]}, {what}")
     if units is None and known is None:
         said = "does not state them" if stated is None else f"states {stated!r}, which is no known unit"

@@ -178,8 +178,7 @@ def finite(token: str, where: str) -> float:
 
 def not_a_number(where: str, token: str) -> ValueError:
     """The error for a token that is no finite number."""
-    shown = token if len(token) <= 60 else f"{token[:60]}..."
-    what = "an empty cell" if not token else repr(shown)
+    what = repr(token if len(token) <= 60 else f"{token[:60]}...") if token else "an empty cell"
     return ValueError(f"{where}: values must be finite numbers, got {what}. Correct or cut it first.")
 
 
@@ -189,14 +188,11 @@ def by_library(name: str, extra: str, path: Path, kind: str, again="Fetch it aga
     try:
         yield
     except ImportError as error:
-        raise ImportError(
-            f"{name} must be installed to read {path.name}, a {kind} file, got none. Install it with: python "
-            f'-m pip install "pymc-features[{extra}]".'
-        ) from error
+        said = f"{name} must be installed to read {path.name}, a {kind} file, got none. Install it with"
+        raise ImportError(f'{said}: python -m pip install "pymc-features[{extra}]".') from error
     except Exception as error:  # each damaged file fails in its own way, inside the parsers
-        raise ValueError(
-            f"{path.name} must be a whole {kind} file, {name} cannot read it ({shortened(error)}). {again}"
-        ) from error
+        said = f"{name} cannot read it ({shortened(error)}). {again}"
+        raise ValueError(f"{path.name} must be a whole {kind} file, {said}") from error
 
 
 def shortened(error: Exception) -> str:

@@ -1,7 +1,4 @@
-"""Recordings: channels as a file states them, of tables with their clock, and as the caller wants them.
-
-Every reader makes a `Recording`; which of its channels, in which units and on which clock is decided here.
-"""
+"""Recordings, which every reader makes: channels as a file states them, and as the caller wants them."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -13,12 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, shown, warn_caller
-from pymc_features.io.reading.labels import NO_HISTORY, Label, resolve_dt, resolve_units
+from pymc_features.io.reading.labels import NO_HISTORY, Label, resolve_dt, resolve_units, role_of, unit_of
 from pymc_features.io.reading.lines import decoded
 
 OPENING = 16_384  # bytes
 TINY, ALONE = 1e-60, 1e3  # over the largest value, and the largest over the second: none is measured so
 FEWEST = 10  # values among which one can be told
+#: Seconds per count of the microsecond counter in exports of Movella (Xsens) DOT sensors, by its label.
+COUNTERS = {"sampletimefine": 1e-6}
+SECONDS = 'Pass "s", "ms", "us" or the seconds per count'
 
 
 class Request(NamedTuple):
@@ -110,6 +110,7 @@ def chosen(recording: Recording, columns: list | None, argument: str = "columns"
         raise ValueError(recording.question)
     found = [channel for channel in channels if not channel.hidden] if columns is None else []
     for column in columns or ():
+        matches, rows = [], False
         if isinstance(column, str):
             word = column.strip()
             matches = [c for c in channels if word in (c.name, c.label)]
@@ -117,8 +118,8 @@ def chosen(recording: Recording, columns: list | None, argument: str = "columns"
             rows = len({c.label for c in matches}) == 1 and matches[0].label != matches[0].name
             if rows:  # of a variable, without its clock
                 matches = [channel for channel in matches if not channel.hidden] or matches
-        else:
-            matches, rows = list(channels[column : column + 1]) if column >= 0 else [], False
+        elif column >= 0:
+            matches = channels[column : column + 1]
         if len(matches) != 1 and not rows:
             raise ValueError(f"`{argument}` must be one of the channels {of}, got {shown(column)}. {hint}")
         found += matches
@@ -167,25 +168,22 @@ def even_clock(
     steps = np.diff(times)
     if not (steps > 0.0).all():
         row = int(np.argmin(steps > 0.0)) + 1
-        raise ValueError(
-            f"{where(row)}: time must increase, it goes from {times[row - 1]:.10g} s to {times[row]:.10g} s. "
-            "Cut the file there; if this is no time, name the column with the times by `clock`, or the "
-            "acceleration by `column` and pass `dt`."
-        )
+        said = f"time must increase, it goes from {times[row - 1]:.10g} s to {times[row]:.10g} s"
+        other = "name the column with the times by `clock`, or the acceleration by `column` and pass `dt`."
+        raise ValueError(f"{where(row)}: {said}. Cut the file there; if this is no time, {other}")
     long = 1.5 * (steps.min() if steps.max() < 1.5 * steps.min() else np.median(steps))
     usual = float(steps[steps < long].mean())  # of printed times no step is exact
     missing = np.rint(steps / usual)
     off, slack = np.abs(steps - missing * usual), 0.1 * usual + 2.0 * quantum
     whole = (off <= 0.1 * usual).all() or (slack < 0.4 * usual and (off <= slack * missing).all())
-    numbers = np.arange(times.size)
-    if (missing > 1.0).any() and whole:
-        row = int(np.argmax(missing > 1.0)) + 1
+    numbers, wide = np.arange(times.size), missing > 1.0
+    if wide.any() and whole:
         if not gaps or missing.sum() >= 2.0 * times.size:
-            raise ValueError(
-                f"{where(row)}: no samples may be missing, {int((missing - 1.0).sum())} are, in "
-                f"{int((missing > 1.0).sum())} gap(s), the first from {times[row - 1]:.10g} s to "
-                f"{times[row]:.10g} s at a step of {usual:.4g} s. Cut the file to one side, or fill the gap."
-            )
+            row = int(wide.argmax()) + 1
+            counts = f"{int((missing - 1.0).sum())} are, in {wide.sum()} gap(s)"
+            first = f"from {times[row - 1]:.10g} s to {times[row]:.10g} s at a step of {usual:.4g} s"
+            said = f"no samples may be missing, {counts}, the first {first}"
+            raise ValueError(f"{where(row)}: {said}. Cut the file to one side, or fill the gap.")
         numbers = np.append(0, np.cumsum(missing.astype(np.int64)))
     mean = (times[-1] - times[0]) / numbers[-1]
     # rounding cannot make steps uneven that are multiples of the resolution, `quantum` [s]
@@ -195,11 +193,11 @@ def even_clock(
         tolerance += quantum
     if np.abs(times - times[0] - mean * numbers).max() > tolerance:
         row = int(np.argmax(np.abs(steps - np.median(steps)))) + 1
-        text = f"from {steps.min():.4g} s to {steps.max():.4g} s."
-        text = f"{where(row)}: time steps must be even, they vary {text}"
+        vary = f"they vary from {steps.min():.4g} s to {steps.max():.4g} s"
+        text = f"{where(row)}: time steps must be even, {vary}"
         if dt is None:
-            raise ValueError(f"{text} Resample the record first.")
-        warn_caller(f"{text} The argument dt={dt:g} s is used.")
+            raise ValueError(f"{text}. Resample the record first.")
+        warn_caller(f"{text}. The argument dt={dt:g} s is used.")
         return None, numbers
     return float(f"{mean:.10g}"), numbers
 
@@ -224,15 +222,9 @@ def _interpolated(channel: Channel, dt: float, file: str) -> np.ndarray:
     values = np.interp(dt * np.arange(n_times), times, channel.values)
     before, after = np.abs(channel.values).max(), np.abs(values).max(initial=0.0)
     if after < 0.99 * before:
-        warn_caller(
-            f"{file} ({channel.name}): at dt={dt:g} s the peak of its uneven values falls from {before:.4g} "
-            f"to {after:.4g} {channel.unit}. Pass a smaller `dt`."
-        )
+        said = f"the peak of its uneven values falls from {before:.4g} to {after:.4g} {channel.unit}"
+        warn_caller(f"{file} ({channel.name}): at dt={dt:g} s {said}. Pass a smaller `dt`.")
     return values
-
-
-#: Seconds per count of the microsecond counter in exports of Movella (Xsens) DOT sensors, by its label.
-COUNTERS = {"sampletimefine": 1e-6}
 
 
 class Columns(NamedTuple):
@@ -258,20 +250,14 @@ def recording_of(columns: Columns, request: Request, question: str = "") -> Reco
     if values.shape[1] <= numbers[-1]:
         values = np.full((len(values), numbers[-1] + 1), np.nan)
         values[:, numbers] = columns.values.T
-    channels = [
-        Channel(
-            label.name or f"column {index}",
-            row,
-            label.unit or columns.units,
-            **place,
-            label=label.text,
-            hidden=index == timer
-            or (label.role == "number" and label.unit is None)
-            or (label.role == "time" and (label.known is None or label.seconds is not None)),
-            problem=problem if index == timer else "",
-        )
-        for index, (label, row) in enumerate(zip(columns.labels, values, strict=True))
-    ]
+    channels = []
+    for index, (label, row) in enumerate(zip(columns.labels, values, strict=True)):
+        is_time = role_of(label.name) == "time" and (unit_of(label.unit) is None or label.seconds)
+        is_number = role_of(label.name) == "number" and label.unit is None
+        name, unit = label.name or f"column {index}", label.unit or columns.units
+        channels.append(Channel(name, row, unit, **place, label=label.text, hidden=is_time or is_number))
+    if timer is not None:
+        channels[timer] = channels[timer]._replace(problem=problem, hidden=True)
     return Recording(columns.file, channels, question=question, skipped=True)
 
 
@@ -290,19 +276,19 @@ def clock_column(columns: Columns, clock) -> int | None:
         return matches.pop()
     if columns.stamp is not None:
         return columns.stamp
-    for index, label in enumerate(columns.labels):
-        if label.role in NO_HISTORY and (index == 0 or label.role == "spectral"):
-            raise ValueError(
-                f"{columns.file} must be a history over time, got a column {label.text!r}. If it is one, "
-                "pass clock=False with `dt` and `columns`, or `clock`, the column with the times. Read "
-                "frequency response functions by `io.read_frequency_response`."
-            )
-    if labelled := [index for index, label in enumerate(columns.labels) if label.role == "time"]:
-        return labelled[0]
+    roles = [role_of(label.name) for label in columns.labels]
+    for role, label in zip(roles, columns.labels, strict=True):
+        if role == "spectral" or (role in NO_HISTORY and label is columns.labels[0]):
+            ways = "pass clock=False with `dt` and `columns`, or `clock`, the column with the times"
+            other = "Read frequency response functions by `io.read_frequency_response`."
+            said = f"got a column {label.text!r}. If it is one, {ways}. {other}"
+            raise ValueError(f"{columns.file} must be a history over time, {said}")
+    if "time" in roles:
+        return roles.index("time")
     first, is_time = columns.labels[0], columns.labels[0].seconds is not None
-    open_ = is_time or not columns.own or first.role in (None, "number")
-    forward = len(columns.labels) > 1 and open_ and (np.diff(columns.values[:, 0]) > 0.0).mean() > 0.9
-    if forward and first.text and first.role is None and not is_time and columns.own:
+    is_open = is_time or not columns.own or roles[0] in (None, "number")
+    forward = len(columns.labels) > 1 and is_open and (np.diff(columns.values[:, 0]) > 0.0).mean() > 0.9
+    if forward and first.text and roles[0] is None and not is_time and columns.own:
         said = f"does not say whether {first.text!r}, which runs forward, is the time"
         advice = "Call it time, or pass clock=False with `dt` and `columns`."
         raise ValueError(f"`clock` must be given, {columns.file} {said}. {advice}")
@@ -315,29 +301,27 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
     if timer is None:
         return {"dt": columns.dt}, numbers
     readings, label, asked = columns.values[:, timer], columns.labels[timer], request.clock_units
-    if not (known := np.isfinite(readings)).all():
-        where = columns.where(int(known.argmin()), timer)
+    if not (there := np.isfinite(readings)).all():
+        where = columns.where(int(there.argmin()), timer)
         raise ValueError(f"{where}: the clock must have a time in every row, got none. Cut the row.")
-    stated = 1.0 if timer == columns.stamp else label.seconds
-    if asked is not None and label.known is not None and not np.isclose(label.known.factor, asked, rtol=1e-6):
+    known, stated = unit_of(label.unit), 1.0 if timer == columns.stamp else label.seconds
+    if asked is not None and known is not None and not np.isclose(known.factor, asked, rtol=1e-6):
         said = f"got {asked:g} s. Leave it out, or correct the file."
         raise ValueError(f"`clock_units` must be those of the file, {file} states {label.text!r}, {said}")
     if asked is None and label.unit is not None and not stated:
-        raise ValueError(
-            f"`clock_units` must be given, {file} states {label.unit!r} of its clock, which is no known unit "
-            'of time. Pass "s", "ms", "us" or the seconds per count.'
-        )
+        said = f"{file} states {label.unit!r} of its clock, which is no known unit of time"
+        raise ValueError(f"`clock_units` must be given, {said}. {SECONDS}.")
     stated = asked or stated or COUNTERS.get(label.name.lower())
     scale = stated or 1.0
     for index, other in enumerate(columns.labels):  # each channel may have times of its own
-        if request.clock is None and index != timer and other.role == "time" and other.seconds is not None:
+        is_time = role_of(other.name) == "time" and other.seconds is not None
+        if request.clock is None and index != timer and is_time:
             times = other.seconds * columns.values[:, index]
             apart = times - times[0] - scale * (readings - readings[0])
             if np.nanmax(np.abs(apart)) > 0.5 * scale * np.nanmedian(np.diff(readings)):
-                raise ValueError(
-                    f"`clock` must be given, {file} has {label.text!r} and {other.text!r}, which run apart. "
-                    "Read the channels of each clock by themselves, by `clock` and `columns`."
-                )
+                said = f"{file} has {label.text!r} and {other.text!r}, which run apart"
+                advice = "Read the channels of each clock by themselves, by `clock` and `columns`."
+                raise ValueError(f"`clock` must be given, {said}. {advice}")
     quantum = scale * columns.resolution(timer)
     times = scale * readings
     step, numbers = even_clock(times, lambda k: columns.where(k, timer), quantum, request.gaps, request.dt)
@@ -345,14 +329,10 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
         return {"dt": None}, numbers
     if step >= 1.0 and stated is None:  # a counter, or other units
         if request.dt is None:
-            raise ValueError(
-                f"`clock_units` must be given, the clock of {file} (column {timer}) has a step of {step:g}, "
-                'too long for seconds. Pass "ms", "us" or the seconds per count, or `dt`.'
-            )
+            said = f"the clock of {file} (column {timer}) has a step of {step:g}, too long for seconds"
+            raise ValueError(f"`clock_units` must be given, {said}. {SECONDS}, or `dt`.")
         scale, quantum, step = request.dt / step * scale, quantum * request.dt / step, request.dt
     if columns.dt is not None and not np.isclose(columns.dt, step, rtol=1e-3, atol=0.0):
-        raise ValueError(
-            f"{file} contradicts itself, it states a step of {columns.dt:g} s and its clock {step:g} s. Pass "
-            "`clock_units`, or clock=False and `dt`."
-        )
+        said = f"it states a step of {columns.dt:g} s and its clock {step:g} s"
+        raise ValueError(f"{file} contradicts itself, {said}. Pass `clock_units`, or clock=False and `dt`.")
     return {"dt": step, "start": columns.origin + float(scale * readings[0]), "quantum": quantum}, numbers
