@@ -309,8 +309,8 @@ def check_draws(predictions, posterior, peak: Peak):
 
 def leverage(peak: Peak) -> np.ndarray:
     """Share (d,) of the standard deviations that comes from what the fit took out of the residuals."""
-    without = sandwich(peak.fit.events, None, leverage=False).variability * peak.sandwich.factor**2
-    plain = peak._replace(sandwich=peak.sandwich._replace(variability=without))
+    errors = sandwich(peak.fit.events, None, leverage=False).errors
+    plain = peak._replace(sandwich=peak.sandwich._replace(errors=errors))
     return 1.0 - plain.deviations / peak.deviations
 
 
@@ -499,7 +499,8 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     if not known(of_response).size:
         raise ValueError("`model` must have parameters that change the response, got none.")
     warn_of_short_records(fit, result)
-    values, vectors = directions(of_response, result.of_response)
+    errors = sum(model.variability for model in result.models)
+    values, vectors = directions(of_response, result.factor**2 * errors)
     n_direction = fit.squares / values[::-1].clip(min=TINY)
     along = vectors.T[::-1] / np.linalg.norm(vectors.T[::-1], axis=1, keepdims=True)
     of_bounds, units = own_scale(predictions, peak)

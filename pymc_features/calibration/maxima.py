@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from pymc_features.calibration.residuals import Fit, events_at, log_likelihood
-from pymc_features.calibration.sandwich import Sandwich, combined, sandwich, stretching
+from pymc_features.calibration.sandwich import Sandwich, of_values, sandwich, stretching
 from pymc_features.inference.parameters import posterior_for, to_unconstrained
 from pymc_features.inference.sample import search
 from pymc_features.smc import population_logp, prior_points
@@ -73,9 +73,9 @@ class Peak(NamedTuple):
 
     def with_base_noise(self, predictions, sd: float) -> "Peak":
         """Make the peak at least as wide, in every direction, as white noise on the base does [m/s^2]."""
-        noise, result = of_base_noise(predictions, self.fit, sd), self.sandwich
-        variability = combined(result.variability, noise, lambda ratios: np.maximum(ratios - 1.0, 0.0))
-        return Peak(self.fit, result._replace(variability=variability))
+        noise, errors = of_base_noise(predictions, self.fit, sd), self.sandwich.errors
+        errors = errors + of_values(errors, noise, lambda ratios: np.maximum(ratios - 1.0, 0.0))
+        return Peak(self.fit, self.sandwich._replace(errors=errors))
 
 
 def peak_at(fit: Fit, model_error="bands") -> Peak:
@@ -184,8 +184,8 @@ def climb_likelihood(predictions, z) -> Fit:
     for _ in range(STEPS):
         information, limits = fit.information, fit.coordinates.limits
         longest = np.where(fit.coordinates.near & (fit.coordinates.sides == 2), LONGEST_SHARE, LONGEST)
-        curvature = combined(information, second, lambda values: np.maximum(values, LEAST - 1.0))
-        step = newton(curvature, fit.score, damping, np.clip(limits - fit.w, -longest, longest))
+        more = of_values(information, second, lambda values: np.maximum(values, LEAST - 1.0))
+        step = newton(information + more, fit.score, damping, np.clip(limits - fit.w, -longest, longest))
         independent = information * sum((~v.gaps).sum() for v in here) / fit.claimed
         length, moved = (np.sqrt(max(0.0, x @ independent @ x)) for x in (step, fit.w - at))
         if length < CONVERGED and central and moved < NEAR:

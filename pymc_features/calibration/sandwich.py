@@ -68,15 +68,19 @@ class Sandwich(NamedTuple):
     """How much the likelihood claims to know, and how much its score varies."""
 
     information: np.ndarray  # A (d, d), minus the Hessian of the log-likelihood
-    variability: np.ndarray  # B (d, d), covariance of the score; A if the likelihood's assumptions hold
+    errors: np.ndarray  # B (d, d) before it grows; A if the likelihood's assumptions hold
     models: list[ErrorModel]  # of each event
     growth: float = np.nan  # by how much the frequency bands disagree; NaN where there are none
-    of_response: np.ndarray | float = np.nan  # the part of B (d, d) that the responses have
 
     @property
     def factor(self) -> float:
         """By which the disagreement of bands makes intervals wider."""
         return 1.0 if np.isnan(self.growth) else min(LARGEST, self.growth)
+
+    @property
+    def variability(self) -> np.ndarray:
+        """B (d, d), covariance of the score."""
+        return self.factor**2 * self.errors
 
     @property
     def claims(self) -> np.ndarray:
@@ -92,9 +96,7 @@ class Sandwich(NamedTuple):
     @property
     def precision(self) -> np.ndarray:
         """A B^-1 A (d, d)."""
-        values, vectors = directions(self.information, self.variability)
-        along = self.information @ vectors
-        return (along / values) @ along.T
+        return of_values(self.information, self.variability, np.reciprocal)
 
 
 def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
@@ -111,15 +113,13 @@ def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
             event.whole(event.value.mu),
             event.whole(event.sensitivities),
             edges_of(event),
-            whiten if leverage and whiten.size else None,
+            whiten if leverage else whiten[:, :0],
         )
         for event in events
     ]
     growth = growth_of(models, whiten.shape[1]) if model_error else np.nan
-    result = Sandwich(sum(event.information for event in events), 0.0, models, growth)
-    of_response = result.factor**2 * sum(model.variability for model in models)
-    variability = of_response + result.factor**2 * sum(map(of_scale, events))
-    return result._replace(variability=variability, of_response=of_response)
+    errors = sum(model.variability for model in models) + sum(map(of_scale, events))
+    return Sandwich(sum(event.information for event in events), errors, models, growth)
 
 
 def of_scale(event) -> np.ndarray:
@@ -127,14 +127,13 @@ def of_scale(event) -> np.ndarray:
 
     It is a sum over time, so that its covariance is that of N times the mean of a series.
     """
-    used = np.flatnonzero(np.abs(event.of_scale).sum(axis=0))
+    used = np.flatnonzero(event.of_scale.any(axis=0))
     result, square = np.zeros((event.of_scale.shape[1],) * 2), event.residuals**2
     if used.size:
         measured = ~event.value.gaps
         series = event.whole(square) - (square.sum(axis=1) / measured.sum(axis=1))[:, None]
         whole = np.repeat(event.of_scale[:, None, used], series.shape[1], axis=1)
-        model = error_model(series, measured[..., None] * whole, whole=whole)
-        result[np.ix_(used, used)] = model.variability
+        result[np.ix_(used, used)] = error_model(series, measured[..., None] * whole, whole=whole).variability
     return result
 
 
@@ -163,18 +162,15 @@ def directions(information, other) -> tuple[np.ndarray, np.ndarray]:
     return values, whiten @ vectors
 
 
-def combined(first, second, share) -> np.ndarray:
-    """First of two matrices (d, d), and of the second what a function of its values (k,) leaves of them."""
+def of_values(first, second, function) -> np.ndarray:
+    """Matrix (d, d) whose values (k,) relative to the first are a function of those of the second."""
     values, vectors = directions(first, second)
     along = first @ vectors
-    return first + (along * share(values)) @ along.T
+    return (along * function(values)) @ along.T
 
 
 def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, np.ndarray]:
-    """Power k and matrix C (d, d) with C' (k A) C = the wanted precision (d, d).
-
-    C has determinant one. It is the unit matrix along directions that the likelihood does not tell.
-    """
+    """Power k and matrix C (d, d), of determinant one, with C' (k A) C = a precision where A tells of any."""
     values, vectors = directions(information, precision)
     power = float(np.exp(np.mean(np.log(values)))) if values.size else 1.0
     along = (vectors * (np.sqrt(values / power) - 1.0)) @ vectors.T
@@ -190,19 +186,17 @@ def edges_of(event) -> np.ndarray:
 
 def growth_of(models, p: int) -> float:
     """The factor, not limited, by the error models of all events and p parameters; NaN without bands."""
-    if all(len(model.scores) == 1 for model in models):
-        return np.nan
+    bands = [band for m in models for band in zip(m.scores, m.variabilities, m.informations, strict=True)]
     left, slopes = [], []
-    largest = np.diag(sum(model.variability for model in models))
+    largest = np.diag(sum(b for _, b, _ in bands))
     scale = np.sqrt(np.where(largest > 0.0, largest, 1.0))
-    for model in models:
-        for u, b, a in zip(model.scores, model.variabilities, model.informations, strict=True):
-            seen = np.diag(b) > FAINT * largest
-            whiten = whitening(b * np.outer(seen, seen), SINGULAR)
-            left.append(whiten.T @ u)
-            slopes.append(whiten.T @ a * (largest > 0.0) / scale)
+    for u, b, a in bands:
+        seen = np.diag(b) > FAINT * largest
+        whiten = whitening(b * np.outer(seen, seen), SINGULAR)
+        left.append(whiten.T @ u)
+        slopes.append(whiten.T @ a * (largest > 0.0) / scale)
     left, slopes = np.concatenate(left), np.concatenate(slopes)
-    if len(left) <= p:
+    if len(bands) == len(models) or len(left) <= p:
         return np.nan
     left = left - slopes @ np.linalg.lstsq(slopes, left, rcond=SINGULAR)[0]
     return float(np.sqrt(max(1.0, left @ left / (len(left) - p))))
@@ -223,16 +217,15 @@ def sentence(growth: float) -> str:
 def error_model(residuals, sensitivities, response=None, whole=None, edges=(), whiten=None) -> ErrorModel:
     """Estimate B from residuals (sensor, time) and sensitivities (sensor, time, p).
 
-    `response` (sensor, time) is what the amplitude of the errors may follow; None if there is none. Where the
-    sensitivities are zero in gaps, `whole` is what they are without: gaps must not hide that a score is
-    static. `edges` are frequencies between bands, in cycles per sample. `whiten` W (p, k) with
-    W' (sum S'S) W = 1 over all events lets what the fit took out of the residuals be put back.
+    `response` (sensor, time) is what the amplitude of the errors may follow. Where the sensitivities are zero
+    in gaps, `whole` is what they are without: gaps must not hide that a score is static. `edges` are
+    frequencies between bands, in cycles per sample. `whiten` as of `taken`; None puts nothing back.
     """
     n_all = residuals.shape[1]
     both = [sensitivities] if whole is None or whole is sensitivities else [sensitivities, whole]
     n = max(samples_of_the_band(residuals, s) for s in both)
     r, s = resampled(residuals, n), resampled(sensitivities, n)
-    amplitude, follows = amplitudes(r, None if response is None else resampled(response, n))
+    amplitude, follows = amplitudes(r, 0.0 * r if response is None else resampled(response, n))
     back = 0.0 if whiten is None else taken(r, s @ whiten * np.sqrt(n_all / n))
     level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))
     r = r / amplitude + back / np.maximum(amplitude, level)
@@ -303,20 +296,18 @@ def amplitudes(residuals, response):
     n = residuals.shape[1]
     level = np.repeat(np.mean(residuals**2, axis=1, keepdims=True), n, axis=1)
     follows = np.zeros(len(residuals), dtype=bool)
-    if response is not None:
-        power = dct(response, axis=1, norm="ortho") ** 2
-        cycles = 0.5 * (power @ np.arange(n)) / power.sum(axis=1).clip(min=TINY)
-        for j, (r, g) in enumerate(zip(residuals, response, strict=True)):
-            if cycles[j] > 0 and r.any():
-                square, mean, variance = r**2, level[j, 0], level[j]
-                local = uniform_filter1d(g**2, int(np.clip(n / cycles[j], 3, n)))
-                columns = np.stack([np.full(n, np.mean(g**2)), g**2, local], axis=1) / np.mean(g**2)
-                for _ in range(4):
-                    coefficients, _ = nnls(columns / variance[:, None], square / variance)
-                    variance = np.maximum(columns @ coefficients, QUIETEST * mean)
-                gain = 0.5 * np.sum(np.log(mean / variance) - square / variance + square / mean)
-                if gain > SURE:
-                    follows[j], level[j] = True, variance
+    power = dct(response, axis=1, norm="ortho") ** 2
+    cycles = 0.5 * (power @ np.arange(n)) / power.sum(axis=1).clip(min=TINY)
+    for j in np.flatnonzero((cycles > 0) & residuals.any(axis=1)):
+        square, mean, variance, g2 = residuals[j] ** 2, level[j, 0], level[j], response[j] ** 2
+        local = uniform_filter1d(g2, int(np.clip(n / cycles[j], 3, n)))
+        columns = np.stack([np.full(n, np.mean(g2)), g2, local], axis=1) / np.mean(g2)
+        for _ in range(4):
+            coefficients, _ = nnls(columns / variance[:, None], square / variance)
+            variance = np.maximum(columns @ coefficients, QUIETEST * mean)
+        gain = 0.5 * np.sum(np.log(mean / variance) - square / variance + square / mean)
+        if gain > SURE:
+            follows[j], level[j] = True, variance
     return np.sqrt(level), follows
 
 
@@ -370,25 +361,25 @@ def by_band(white, spectrum, changes, starts):
     frequency, p) are S and G, minus the derivative of e, of signals with as many zeros behind. Bands begin at
     the frequencies `starts`.
     """
-    n_frequencies = spectrum.shape[1]
+    n, n_frequencies = white.shape[1], spectrum.shape[1]
     length = 2 * (n_frequencies - 1)
     bands = [slice(*ends) for ends in itertools.pairwise([*starts, n_frequencies])]
     twice = np.full(n_frequencies, 2.0)
     twice[[0, -1]] = 1.0
-    lost = np.pad(white, ((0, 0), (length // 2 - white.shape[1], 0)))  # by the filters, at the start
+    e = rfft(
+        np.pad(white, ((0, 0), (length // 2 - n, 0))), length, axis=1
+    )  # lost by the filters, at the start
     back = spectrum.conj() * (twice / length)[:, None]
-    e = rfft(lost, length, axis=1)
     scores = np.add.reduceat(np.einsum("cfp,cf->fp", back, e).real, starts, axis=0)
     informations = [np.tensordot(back[:, f], changes[:, f], ([0, 1], [0, 1])).real for f in bands]
     half = max(1, min(n_frequencies - 2, n_frequencies // SMOOTHING))
     kernel = np.hanning(2 * half + 3)[1:-1]
     window = irfft(length * kernel[half:] / kernel.sum(), length)  # of lags: smooths what they make
-    r = rfft(white, length, axis=1)
     total = np.zeros((len(bands), spectrum.shape[2], spectrum.shape[2]))
     for i, s in enumerate(spectrum):  # rows: no array (component, component, ...)
-        cross = rfft(irfft(r[i] * r[i:].conj(), length, axis=1) * window, axis=1) * twice
+        cross = rfft(irfft(e[i] * e[i:].conj(), length, axis=1) * window, axis=1) * twice
         cross[1:] *= 2.0
         weighed = np.einsum("cf,cfp->fp", cross, spectrum[i:])
         total += [(s[f].conj().T @ weighed[f]).real for f in bands]
-    total /= white.shape[1] * length
+    total /= n * length
     return scores, 0.5 * (total + total.transpose(0, 2, 1)), np.array(informations)

@@ -55,16 +55,14 @@ class Stretched(NamedTuple):
     @classmethod
     def around(cls, prior, likelihood, peak, others=()) -> "Stretched":
         """Stretch a likelihood around one of some peaks."""
-        near, wanted, off = peak.fit.coordinates.near, peak.sandwich.precision, peak.free - peak.fit.w
-        f, b, pushed = np.flatnonzero(~near), np.flatnonzero(near), wanted @ off
-        whiten = whitening(wanted[np.ix_(f, f)])
-        follow = -whiten @ whiten.T @ wanted[np.ix_(f, b)]
-        power, stretch = stretching(peak.sandwich.information[np.ix_(f, f)], wanted[np.ix_(f, f)])
-        origin, slope, (matrix, bend) = peak.fit.w.copy(), 0.0 * off, np.zeros((2, *wanted.shape))
-        origin[f] -= stretch @ (off[f] - follow @ off[b])
-        matrix[np.ix_(f, f)], matrix[np.ix_(f, b)] = stretch, -stretch @ follow
-        slope[b] = pushed[b] + follow.T @ pushed[f]
-        bend[np.ix_(b, b)] = wanted[np.ix_(b, b)] + wanted[np.ix_(b, f)] @ follow
+        near, off = peak.fit.coordinates.near, peak.free - peak.fit.w
+        of_free, wanted = np.outer(~near, ~near), peak.sandwich.precision
+        whiten = whitening(wanted * of_free)
+        follow = -whiten @ whiten.T @ wanted * near
+        power, stretch = stretching(peak.sandwich.information * of_free, wanted * of_free)
+        matrix = ~near[:, None] * (stretch @ (np.eye(len(near)) - follow))
+        origin, pushed = peak.fit.w - matrix @ off, wanted @ off
+        slope, bend = near * (pushed + follow.T @ pushed), np.outer(near, near) * (wanted + wanted @ follow)
         peak, *others = (p._replace(fit=p.fit._replace(events=[])) for p in (peak, *others))
         return cls(prior, likelihood, peak, others, power, origin, matrix, slope, bend)
 
@@ -201,47 +199,43 @@ class CutNormal(NamedTuple):
 
     coordinates: Coordinates
     mean: np.ndarray  # of the normal distribution of all coordinates (d,)
-    deviations: np.ndarray  # standard deviations of those near a bound (b,)
-    follow: np.ndarray  # how the others change with those (f, b)
-    factor: np.ndarray  # Cholesky factor of the covariance of the others, given those (f, f)
+    factor: np.ndarray  # of its covariance (d, d); diagonal in the rows of those near a bound
 
     @property
     def cut(self):
         """Distributions (b,) of coordinates near a bound, in standard deviations from the mean."""
-        ends = self.coordinates.limits - self.mean
-        return truncnorm(*(ends[:, self.coordinates.near] / self.deviations))
+        ends = (self.coordinates.limits - self.mean) / np.diag(self.factor)
+        return truncnorm(*ends[:, self.coordinates.near])
 
     def forward(self, z):
         """u (n, d), and ln |du/dz| (n,)."""
-        near, w, cut = self.coordinates.near, self.coordinates.of(z), self.cut
-        u, off = np.empty_like(w), w - self.mean
-        x = np.clip(off[:, near] / self.deviations, *cut.support())
+        near, cut = self.coordinates.near, self.cut
+        u = np.linalg.solve(self.factor, (self.coordinates.of(z) - self.mean).T).T
+        x = np.clip(u[:, near], *cut.support())
         u[:, near] = ndtri_exp(cut.logcdf(x))
-        u[:, ~near] = np.linalg.solve(self.factor, (off[:, ~near] - off[:, near] @ self.follow.T).T).T
-        slopes = 0.5 * (u[:, near] ** 2 + np.log(2.0 * np.pi)) + cut.logpdf(x) - np.log(self.deviations)
+        slopes = 0.5 * (u[:, near] ** 2 + np.log(2.0 * np.pi)) + cut.logpdf(x)
         slopes += np.log(self.coordinates.slopes(z)[:, near])
-        return u, slopes.sum(axis=1) - np.log(np.diag(self.factor)).sum()
+        return u, slopes.sum(axis=1) - np.linalg.slogdet(self.factor)[1]
 
     def inverse(self, u):
         """z (n, d)."""
-        near, w = self.coordinates.near, self.mean + np.zeros_like(u)
-        x, cut = u[:, near], self.cut
-        w[:, near] += self.deviations * np.where(x > 0.0, cut.isf(ndtr(-x)), cut.ppf(ndtr(x)))
-        w[:, ~near] += (w - self.mean)[:, near] @ self.follow.T + u[:, ~near] @ self.factor.T
-        return self.coordinates.unconstrained(w)
+        near, x = self.coordinates.near, np.array(u)
+        of_near, cut = u[:, near], self.cut
+        x[:, near] = np.where(of_near > 0.0, cut.isf(ndtr(-of_near)), cut.ppf(ndtr(of_near)))
+        return self.coordinates.unconstrained(self.mean + x @ self.factor.T)
 
 
 def bell(model, peak: Peak, rng) -> Reference:
     """The calibrated likelihood as it is expected, with the width of the prior where there is no other."""
     prior = prior_points(model, PRIOR_DRAWS, rng)
     centre, scale = prior.mean(axis=0), prior.std(axis=0)
-    coordinates, mean, precision = peak.fit.coordinates, peak.free, peak.sandwich.precision
-    f, b = np.flatnonzero(~coordinates.near), np.flatnonzero(coordinates.near)
-    covariance = np.linalg.inv(precision[np.ix_(f, f)] + np.diag(scale[f] ** -2.0))
-    mean[f] += covariance @ ((centre - mean)[f] / scale[f] ** 2)
-    follow = -covariance @ precision[np.ix_(f, b)]
-    bent = CutNormal(coordinates, mean, peak.deviations[b], follow, np.linalg.cholesky(covariance))
-    unit = np.eye(len(mean))
+    near, mean, precision = peak.fit.coordinates.near, peak.free, peak.sandwich.precision
+    wide = np.where(near, peak.deviations, scale) ** -2.0
+    covariance = np.linalg.inv(precision * np.outer(~near, ~near) + np.diag(wide))
+    mean += ~near * (covariance @ (~near * (centre - mean) * wide))
+    follow = ~near[:, None] * (covariance @ precision) * near
+    factor = (np.eye(len(mean)) - follow) @ np.linalg.cholesky(covariance)
+    bent, unit = CutNormal(peak.fit.coordinates, mean, factor), np.eye(len(mean))
     axes = 0.5 * (bent.inverse(unit) - bent.inverse(-unit)) / scale
     point = (bent.inverse(np.zeros((1, len(mean))))[0] - centre) / scale
     return Reference([Mode(point, np.linalg.cholesky(axes.T @ axes), 0.0, 1)], centre, scale, [bent])

@@ -190,10 +190,11 @@ def test_bounds_of_priors():
 def test_normal_distributions_that_are_cut():
     """A map to standard normal numbers, on both sides and far out, and back; its density by differences."""
     mean = np.array([0.2, -3.0, 1.2, 0.5, -0.3])
-    factor, follow = np.array([[0.5, 0.0], [0.2, 0.3]]), np.array([[0.4, 0.1, 0.0], [0.0, 0.2, -0.3]])
+    factor = np.diag([0.5, 0.8, 0.1, 0.3, 0.02])
+    factor[3, 0], factor[0, 1:3], factor[3, [2, 4]] = 0.2, (0.32, 0.01), (0.02, -0.006)
     sides, near = np.array([0, 1, 2, 1, 2]), np.array([False, True, True, False, True])
     coordinates = Coordinates(sides, near, np.array([0.4, -1.9, 1.6, 0.8, -3.9]))
-    cut = CutNormal(coordinates, mean, np.array([0.8, 0.1, 0.02]), follow, factor)
+    cut = CutNormal(coordinates, mean, factor)
     u = np.random.default_rng(1).normal(size=(200, 5))
     z = cut.inverse(u)
     back, log_density = cut.forward(z)
