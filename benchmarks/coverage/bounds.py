@@ -19,7 +19,7 @@ from benchmarks import truth
 from benchmarks.coverage.errors import LEVEL, measurements
 from benchmarks.tables import table
 from pymc_features.calibration.events import SHORT, interval
-from pymc_features.calibration.maxima import Peak, climb_likelihood, peak_at
+from pymc_features.calibration.maxima import Peak, climb_likelihood
 from pymc_features.calibration.residuals import Predictions
 
 FULL, QUICK = 1000, 20  # data sets
@@ -75,7 +75,7 @@ def fitted(seed, upper) -> Peak:
     inside = (min(1.0, upper - 1e-3) - LOWEST) / (upper - LOWEST)
     start = np.array([logit(inside), 1.0, 1.0, np.log(LEVEL * np.sqrt(np.mean(response**2)))])
     fit = climb_likelihood(predictions, start)
-    return peak_at(fit.measured_from_bounds(peak_at(fit).near_bounds()))
+    return Peak.at(fit.measured_from_bounds(Peak.at(fit).near_bounds()))
 
 
 def bounded(seed, upper) -> Bounded:

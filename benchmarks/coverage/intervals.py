@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.calibration.maxima import Peak, climb_likelihood, peak_at
+from pymc_features.calibration.maxima import Peak, climb_likelihood
 from pymc_features.calibration.stretched import Stretched, curved
 from pymc_features.smc.proposals.proposal import StudentT
 
@@ -145,8 +145,8 @@ class Calibrated(NamedTuple):
 def calibrated(predictions, z, n_parameters, model_error="bands") -> Calibrated:
     """The steps of `calibrate` for a likelihood with its maximum near z (d,)."""
     fit = climb_likelihood(predictions, z)
-    near = peak_at(fit, model_error).near_bounds()
-    peak, _ = curved(predictions, peak_at(fit.measured_from_bounds(near), model_error))
+    near = Peak.at(fit, model_error).near_bounds()
+    peak, _ = curved(predictions, Peak.at(fit.measured_from_bounds(near), model_error))
     result = peak.sandwich
     claims, covariance = (m[:n_parameters, :n_parameters] for m in (result.claims, result.covariance))
     ratio = np.linalg.slogdet(claims)[1] - np.linalg.slogdet(covariance)[1]

@@ -8,26 +8,10 @@ import pymc as pm
 import xarray as xr
 from pymc.util import RandomState
 from pytensor.graph.basic import Constant
+from scipy.special import logsumexp, softmax
 
-from pymc_features._checks import (
-    check_choice,
-    check_flag,
-    check_group,
-    check_integer,
-    check_model,
-    check_positive,
-    check_seed,
-    warn_caller,
-)
-from pymc_features.calibration.maxima import (
-    Peak,
-    best_fit,
-    climb_likelihood,
-    distinct_peaks,
-    peak_at,
-    some_draws,
-    starting_points,
-)
+from pymc_features._checks import check_choice, check_model, check_positive, check_seed, warn_caller
+from pymc_features.calibration.maxima import Peak, best_fit, climb_likelihood, distinct_peaks, some_draws
 from pymc_features.calibration.residuals import Event, Predictions
 from pymc_features.calibration.sandwich import directions, known, sandwich, sentence, whitening
 from pymc_features.calibration.stretched import Stretched, StretchedSMC, bell, curved, prior_and_likelihood
@@ -36,7 +20,7 @@ from pymc_features.inference.parameters import coordinate_names, posterior_for, 
 from pymc_features.inference.sample import Search, journal_in, sample_from
 from pymc_features.likelihoods.declaration import warn_about_variance
 from pymc_features.likelihoods.mean_square import GammaFeatureRV, RequireDegrees
-from pymc_features.smc import open_workers
+from pymc_features.smc import check_run, open_workers
 from pymc_features.smc.proposals.mixture import equal_draws, pareto_smoothed
 
 # mean square of standard deviations from the maximum that is far, and the share of draws that makes a warning
@@ -132,28 +116,22 @@ def calibrate(
     ----------
     Ribatet, Cooley & Davison, Stat. Sin. 22, 2012; Shaby, Bayesian Anal. 9, 2014.
     """
-    for name, value, least in (("draws", draws, 2), ("chains", chains, 1)):
-        if value is not None:
-            check_integer(value, name, least=least)
     check_seed(random_seed)
-    check_flag(progressbar, "progressbar")
     if model_error is not None:
         check_choice(model_error, "model_error", ["bands"], "Or pass None.")
     model = check_model(model)
     if base_noise is not None:
         base_noise, model_error = check_positive(base_noise, "base_noise", "Pass m/s^2."), None
     posterior = posterior_for(model, idata, "idata")
+    draws = posterior.sizes["draw"] if draws is None else draws
+    chains = posterior.sizes["chain"] if chains is None else chains
+    check_run(draws, chains, settings.get("cores"), random_seed, progressbar)
+    settings |= {"draws": draws, "chains": chains, "random_seed": random_seed, "progressbar": progressbar}
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(1)[0])
-    settings |= {
-        "draws": draws or posterior.sizes["draw"],
-        "chains": chains or posterior.sizes["chain"],
-        "random_seed": random_seed,
-        "progressbar": progressbar,
-    }
     predictions = Predictions(model)
     peaks = distinct_peaks(predictions, idata, model_error, rng)
     near = np.any([peak.near_bounds() for peak in peaks], axis=0)
-    peaks = [peak_at(peak.fit.measured_from_bounds(near), model_error) for peak in peaks]
+    peaks = [Peak.at(peak.fit.measured_from_bounds(near), model_error) for peak in peaks]
     peaks, expansions = map(list, zip(*(curved(predictions, peak) for peak in peaks), strict=True))
     if base_noise is not None:
         peaks = [peak.with_base_noise(predictions, base_noise) for peak in peaks]
@@ -169,6 +147,7 @@ def calibrate(
             target = Stretched.around(prior, likelihood, peak, peaks[:i] + peaks[i + 1 :])
             search = Search(bell(model, peak, rng), 0, 0, "the maximum was known")
             sampled = calibrated_mode(predictions, target, expansion, search, i, settings, rng)
+            sampled["sample_stats"].attrs["power"] = target.power
             sampled["calibration"] = xr.DataTree(found)
             check_draws(predictions, sampled["posterior"].to_dataset(), peak)
             parts.append(sampled)
@@ -187,7 +166,7 @@ def calibrated_mode(predictions, target: Stretched, expansion, found, number, se
 
     The first draws are those `found`; a checkpoint keeps the likelihood in a file of this `number`.
     """
-    model, space, idata = predictions.model, predictions.space, None
+    model, space = predictions.model, predictions.space
     settings = settings | {"kernel": StretchedSMC}
     if expansion is not None:
         guess = target._replace(likelihood=expansion)
@@ -195,43 +174,36 @@ def calibrated_mode(predictions, target: Stretched, expansion, found, number, se
         idata = sample_from(found, model, space, **cheap)
         journal = journal_in(settings.get("checkpoint"), f"calibrated_{number}", model)
         with contextlib.closing(journal) if journal else contextlib.nullcontext():
-            idata = weighed(model, idata, guess, target, journal, rng)
-    if idata is None:
-        idata = sample_from(found, model, space, **settings, logp=target)
-    idata["sample_stats"].attrs["power"] = target.power
-    return idata
+            if weighed(model, idata, guess, target, journal, rng):
+                return idata
+    return sample_from(found, model, space, **settings, logp=target)
 
 
-def weighed(model, idata, guess: Stretched, target: Stretched, journal, rng) -> xr.DataTree | None:
-    """A posterior by a guess of the likelihood as that by the likelihood; None where they are not near."""
+def weighed(model, idata, guess: Stretched, target: Stretched, journal, rng) -> bool:
+    """Make a posterior by a guess of the likelihood that by the likelihood, if they are near."""
     z = to_unconstrained(model, idata["posterior"].to_dataset())
     flat = z.reshape(-1, z.shape[-1])
-    if journal is None:
-        _, *values = target(flat)
-    else:
-        parts = [journal.evaluate(target, x) for x in np.array_split(flat, -(-len(flat) // KEPT))]
-        _, *values = map(np.concatenate, zip(*parts, strict=True))
+    some = np.array_split(flat, -(-len(flat) // KEPT) if journal else 1)
+    parts = [journal.evaluate(target, x) if journal else target(x) for x in some]
+    _, *values = map(np.concatenate, zip(*parts, strict=True))
     value, failed, guessed = (np.reshape(x, z.shape[:2]) for x in (*values, guess(flat)[1]))
-    logs = value - guessed
-    if not (logs.max(axis=1) > -np.inf).all():
-        return None
-    logs = np.array([pareto_smoothed(x) for x in logs])
-    weights = np.exp(logs - logs.max(axis=1, keepdims=True))
-    mean = weights.mean(axis=1)
-    worth = mean**2 / np.mean(weights**2, axis=1)
+    logs = np.array([pareto_smoothed(x) for x in value - guessed])
+    with np.errstate(invalid="ignore"):  # where no draw is possible
+        weights = softmax(logs, axis=1)
+    worth = 1.0 / np.mean(weights**2, axis=1) / weights.shape[1] ** 2
     if not worth.min() > WORTH:
-        return None
-    place = [equal_draws(x / x.sum(), len(x), rng) for x in weights]
+        return False
+    place = [equal_draws(x, len(x), rng) for x in weights]
     idata["posterior"] = chosen(idata["posterior"].to_dataset(), np.sort(place, axis=1))
     stats, first = idata["sample_stats"].to_dataset(), idata["sample_stats"]["stage"] == 0
-    evidences = stats["log_marginal_likelihood"] + logs.max(axis=1) + np.log(mean)
+    evidences = stats["log_marginal_likelihood"] + logsumexp(logs, axis=1) - np.log(weights.shape[1])
     counts = {"evaluations": value.shape[1], "failed": failed.sum(axis=1)[:, None]}
     counts = {name: (0.0 * stats[name]).where(~first, count) for name, count in counts.items()}
     stats = stats.assign(log_marginal_likelihood=evidences, ess=stats["ess"] * worth, **counts)
-    log_evidence = np.logaddexp.reduce(evidences.values) - np.log(len(evidences))
+    log_evidence = logsumexp(evidences.values) - np.log(len(evidences))
     stats.attrs |= {"log_evidence": float(log_evidence), "ess": float(stats["ess"].sum())}
     idata["sample_stats"] = xr.DataTree(stats)
-    return idata
+    return True
 
 
 def pooled(parts: list[xr.DataTree], peaks: list[Peak], rng) -> xr.DataTree:
@@ -245,8 +217,7 @@ def pooled(parts: list[xr.DataTree], peaks: list[Peak], rng) -> xr.DataTree:
     heights = np.array([peak.fit.height for peak in peaks])
     powers = np.array([one["power"] for one in stats])
     logs = [one["log_evidence"] for one in stats] + (powers[heights.argmax()] - powers) * heights
-    weights = np.exp(logs - logs.max())
-    weights /= weights.sum()
+    weights = softmax(logs)
     posteriors = [part["posterior"].to_dataset() for part in parts]
     n_chains, n_draws = (posteriors[0].sizes[dim] for dim in ("chain", "draw"))
     mode = np.stack([equal_draws(weights, n_draws, rng) for _ in range(n_chains)])
@@ -384,15 +355,12 @@ def effective_samples(
     Godambe, Ann. Math. Stat. 31, 1960; Andrews & Monahan, Econometrica 60, 1992.
     """
     check_seed(random_seed)
-    starts = None
-    if isinstance(source, pm.Model):
-        model = check_model(source)
-    else:
-        check_group(source, "source", "posterior", "Or pass a model, for a fit without draws.")
-        model = check_model(model)
-        starts = starting_points(model, source, "source")
+    model = check_model(source if isinstance(source, pm.Model) else model)
+    idata = None if source is model else source
+    if idata is not None:
+        posterior_for(model, idata, "source")
     predictions = Predictions(model)
-    return described(predictions, peak_at(best_fit(predictions, starts, np.random.default_rng(random_seed))))
+    return described(predictions, Peak.at(best_fit(predictions, idata, np.random.default_rng(random_seed))))
 
 
 def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = None) -> xr.Dataset:
@@ -450,24 +418,21 @@ def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = Non
             f"`model` must have a GammaFeature with m='residuals', got {names}. Declare it so, or use "
             "effective_samples()."
         )
-    before = [data.get_value() for data in waiting.values()]
-    for data in waiting.values():
-        data.set_value(np.full(data.get_value().shape, FIRST))
-    try:
+    with contextlib.ExitStack() as undo:
+        for data in waiting.values():
+            undo.callback(data.set_value, data.get_value())
+            data.set_value(np.full(data.get_value().shape, FIRST))
         predictions = Predictions(model)
         fit = best_fit(predictions, None, np.random.default_rng(random_seed))
         fill(waiting, fit)
         fit = climb_likelihood(predictions, fit.z)
         fill(waiting, fit)
-    except Exception:
-        for data, m in zip(waiting.values(), before, strict=True):
-            data.set_value(m)
-        raise
+        undo.pop_all()
     for rv, data in waiting.items():
         sigma = rv.owner.inputs[3]
         if not isinstance(sigma, Constant):
             warn_about_variance("GammaFeature", data.get_value().ravel(), sigma)
-    return described(predictions, peak_at(fit))
+    return described(predictions, Peak.at(fit))
 
 
 def fill(waiting, fit):
@@ -494,74 +459,53 @@ def sensors_n_eff(event: Event) -> np.ndarray:
 
 def described(predictions, peak: Peak) -> xr.Dataset:
     """The Dataset of `effective_samples`."""
-    fit, result = peak
+    (fit, result), (sides, near, origin) = peak, peak.fit.coordinates
     of_response = sum(event.of_response for event in fit.events)
     if not known(of_response).size:
         raise ValueError("`model` must have parameters that change the response, got none.")
     warn_of_short_records(fit, result)
-    errors = sum(model.variability for model in result.models)
-    values, vectors = directions(of_response, result.factor**2 * errors)
+    errors = result.factor**2 * sum(model.variability for model in result.models)
+    values, vectors = directions(of_response, errors)
     n_direction = fit.squares / values[::-1].clip(min=TINY)
-    along = vectors.T[::-1] / np.linalg.norm(vectors.T[::-1], axis=1, keepdims=True)
-    of_bounds, units = own_scale(predictions, peak)
-    square, every = np.outer(units, units), np.arange(len(units))
-    told = np.where(np.isin(every, known(result.information)), 1.0, np.nan)
-    claims, covariance = (m * square * np.outer(told, told) for m in (result.claims, result.covariance))
-    of_sensors = [
-        {
-            "n_eff": sensors_n_eff(event),
-            "claimed": event.value.claimed,
-            "time_constant": np.full(len(event.residuals), event.value.step * model.memory),
-            "follows_response": model.follows_response,
-        }
-        for event, model in zip(fit.events, result.models, strict=True)
-    ]
-    variables = {
-        "sensor": {name: np.concatenate([one[name] for one in of_sensors]) for name in of_sensors[0]},
-        "parameter": {
-            "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
-            "standard_deviation": np.sqrt(np.diag(covariance)),
-            "claimed_standard_deviation": np.sqrt(np.diag(claims)),
-            "changes_response": np.isin(every, known(of_response)),
-            **of_bounds,
-        },
-        ("parameter", "parameter_"): {
-            "information": result.information / square,
-            "variability": result.variability / square,
-            "covariance": covariance,
-        },
-        "direction": {"n_eff_direction": n_direction},
-        ("direction", "parameter"): {"direction_vector": along},
-    }
-    names = coordinate_names(predictions.model, predictions.space)
-    sensors = [f"{e.value.name}[{j}]" for e in fit.events for j in range(len(e.residuals))]
-    return xr.Dataset(
-        {name: (dims, x) for dims, some in variables.items() for name, x in some.items()},
-        {"parameter": names, "parameter_": names, "sensor": sensors},
-        {
-            "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
-            "claimed": fit.claimed,
-            "n_evaluations": fit.n_evaluations,
-            "growth": result.growth,
-        },
-    )
-
-
-def own_scale(predictions, peak: Peak) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """What is said of parameters (d,) near a bound, on their own scale, and units of coordinates there."""
-    sides, near, origin = peak.fit.coordinates
-    low, high = predictions.bounds(predictions.space.split(peak.fit.z))
-    first = np.where(np.isfinite(low), low, high)  # the lower bound, or the only one
+    # parameters near a bound on their own scale: the lower bound, or the only one, and the unit from there
+    low, high = predictions.bounds(predictions.space.split(fit.z))
+    first = np.where(np.isfinite(low), low, high)
     one = np.exp(np.where(sides == 1, origin, 0.0)) * np.where(first == low, 1.0, -1.0)
     units = np.where(near, np.where(sides == 2, high - low, one), 1.0)
     to_first, to_last = peak.rooms
-    found = {
-        "point": np.where(near, first + units * peak.fit.w, peak.fit.w),
-        "near_bound": near,
-        "bound": np.where(near, np.where(to_first < to_last, first, high), np.nan),
-        "room": np.where(near, np.minimum(to_first, to_last), np.nan),
+    every, square = np.arange(len(units)), np.outer(units, units)
+    told = np.where(np.isin(every, known(result.information)), 1.0, np.nan)
+    claims, covariance = (m * square * np.outer(told, told) for m in (result.claims, result.covariance))
+    names = coordinate_names(predictions.model, predictions.space)
+    memory = [event.value.step * m.memory for event, m in zip(fit.events, result.models, strict=True)]
+    over, of = ("parameter", "parameter_"), "parameter"
+    variables = {
+        "n_eff": ("sensor", np.concatenate([sensors_n_eff(event) for event in fit.events])),
+        "claimed": ("sensor", np.concatenate([event.value.claimed for event in fit.events])),
+        "time_constant": ("sensor", np.repeat(memory, [len(event.residuals) for event in fit.events])),
+        "follows_response": ("sensor", np.concatenate([m.follows_response for m in result.models])),
+        "n_eff_parameter": (of, fit.claimed * np.diag(claims) / np.diag(covariance)),
+        "standard_deviation": (of, np.sqrt(np.diag(covariance))),
+        "claimed_standard_deviation": (of, np.sqrt(np.diag(claims))),
+        "changes_response": (of, np.isin(every, known(of_response))),
+        "point": (of, np.where(near, first + units * fit.w, fit.w)),
+        "near_bound": (of, near),
+        "bound": (of, np.where(near, np.where(to_first < to_last, first, high), np.nan)),
+        "room": (of, np.where(near, np.minimum(to_first, to_last), np.nan)),
+        "information": (over, result.information / square),
+        "variability": (over, result.variability / square),
+        "covariance": (over, covariance),
+        "n_eff_direction": ("direction", n_direction),
+        "direction_vector": (("direction", of), (vectors / np.linalg.norm(vectors, axis=0)).T[::-1]),
     }
-    return found, units
+    sensors = [f"{event.value.name}[{j}]" for event in fit.events for j in range(len(event.residuals))]
+    attrs = {
+        "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
+        "claimed": fit.claimed,
+        "n_evaluations": fit.n_evaluations,
+        "growth": result.growth,
+    }
+    return xr.Dataset(variables, {"parameter": names, "parameter_": names, "sensor": sensors}, attrs)
 
 
 def warn_of_short_records(fit, result):

@@ -7,7 +7,7 @@ from scipy.optimize import lsq_linear
 
 from pymc_features.calibration.residuals import Fit, events_at, log_likelihood
 from pymc_features.calibration.sandwich import Sandwich, of_values, sandwich, stretching
-from pymc_features.inference.parameters import posterior_for, to_unconstrained
+from pymc_features.inference.parameters import to_unconstrained
 from pymc_features.inference.sample import search
 from pymc_features.smc import population_logp, prior_points
 
@@ -29,7 +29,7 @@ CANDIDATES = 100  # draws that these are chosen from
 DISTINCT = 3.0  # standard deviations, by the residuals, between maxima that are not one
 LIGHTEST = 1e-3  # weight of a mode that is left out
 ROUNDED = 1e-12  # of what a unit change of a parameter does to the response: rounding, no residuals
-REALISATIONS = 200  # of noise on a base
+REALISATIONS = 200  # of noise on a base: good to 5 % of a standard deviation
 
 
 class Peak(NamedTuple):
@@ -37,6 +37,11 @@ class Peak(NamedTuple):
 
     fit: Fit
     sandwich: Sandwich
+
+    @classmethod
+    def at(cls, fit: Fit, model_error="bands") -> "Peak":
+        """A maximum with what the residuals there say."""
+        return cls(fit, sandwich(fit.events, model_error))
 
     @property
     def free(self) -> np.ndarray:
@@ -78,16 +83,8 @@ class Peak(NamedTuple):
         return Peak(self.fit, self.sandwich._replace(errors=errors))
 
 
-def peak_at(fit: Fit, model_error="bands") -> Peak:
-    """A maximum with what the residuals there say."""
-    return Peak(fit, sandwich(fit.events, model_error))
-
-
 def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
-    """Covariance (d, d) of the score by white noise of a standard deviation [m/s^2] on the base's record.
-
-    By `REALISATIONS` of the noise: good to 5 % of a standard deviation.
-    """
+    """Covariance (d, d) of the score by white noise [m/s^2] on the base's record, by `REALISATIONS` of it."""
     rng, scores = np.random.default_rng(0), []
     for _ in range(REALISATIONS):
         pairs = zip(predictions.with_noisy_base(fit.z, sd, rng), fit.events, strict=True)
@@ -96,40 +93,23 @@ def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
     return np.einsum("np,nq->pq", scores, scores) / REALISATIONS
 
 
-def fit_near(predictions, z) -> Fit:
-    """The maximum near a point (d,), if every sensor has residuals there."""
-    fit = climb_likelihood(predictions, z)
-    for event in fit.events:
-        response = (event.sensitivities**2).sum(axis=1).max(axis=-1)
-        silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > ROUNDED**2 * response))
-        if silent.size:
-            raise ValueError(
-                f"the residuals of {event.value.name} must not vanish, got none at sensor {silent[0]}: data "
-                "without noise support no estimate of their errors. Add the measurement noise, or leave out "
-                "the sensor."
-            )
-    return fit
+def best_fit(predictions, idata, rng) -> Fit:
+    """The maximum near the most likely of a posterior's modes or, where it has none, of some draws.
 
-
-def best_fit(predictions, starts, rng) -> Fit:
-    """The maximum near the most likely of some points (n, d); of a model's modes without points."""
+    Without a posterior near the most probable of the model's modes.
+    """
     model = predictions.model
-    if starts is None:
+    if idata is None:
         logp = population_logp(model, predictions.space.point, {})
         found = search(model, logp, 1000, rng, None).reference
         starts = prior_points(model, 10 * STARTS, rng) if found is None else found.peaks
         heights = np.add(*logp(starts)[:2])
     else:
+        starts = some_draws(model, idata["posterior"].to_dataset())
+        if "modes" in idata.children and {rv.name for rv in model.free_RVs} <= set(idata["modes"].data_vars):
+            starts = to_unconstrained(model, idata["modes"].to_dataset().expand_dims("chain"))[0]
         heights = [log_likelihood(predictions(z)) for z in starts] if len(starts) > 1 else [0.0]
-    return fit_near(predictions, starts[np.argmax(heights)])
-
-
-def starting_points(model, idata, name: str) -> np.ndarray:
-    """Unconstrained points (n, d) that a posterior offers: its modes where they are known, or some draws."""
-    posterior = posterior_for(model, idata, name)
-    if "modes" in idata.children and {rv.name for rv in model.free_RVs} <= set(idata["modes"].data_vars):
-        return to_unconstrained(model, idata["modes"].to_dataset().expand_dims("chain"))[0]
-    return some_draws(model, posterior)
+    return climb_likelihood(predictions, starts[np.argmax(heights)])
 
 
 def some_draws(model, posterior, number=STARTS) -> np.ndarray:
@@ -142,18 +122,18 @@ def some_draws(model, posterior, number=STARTS) -> np.ndarray:
 def distinct_peaks(predictions, idata, model_error, rng) -> list[Peak]:
     """Maxima of the likelihood that draws of a posterior lead to and that may matter, the highest first."""
     model = predictions.model
-    fit = best_fit(predictions, starting_points(model, idata, "idata"), rng)
-    peaks, known = [peak_at(fit, model_error)], [fit.z]
+    fit = best_fit(predictions, idata, rng)
+    peaks, known = [Peak.at(fit, model_error)], [fit.z]
     draws = some_draws(model, idata["posterior"].to_dataset(), CANDIDATES)
     scale = draws.std(axis=0)
     scale[scale == 0.0] = 1.0
     for _ in range(min(CLIMBS, len(draws) - 1)):
         distances = ((draws[:, None] - np.array(known)) / scale) ** 2
         start = draws[distances.sum(axis=2).min(axis=1).argmax()]
-        fit = fit_near(predictions, start)
+        fit = climb_likelihood(predictions, start)
         known += [start, fit.z]
         if all(other.distance(fit.z) > DISTINCT for other in peaks):
-            peak = peak_at(fit, model_error)
+            peak = Peak.at(fit, model_error)
             if all(peak.distance(other.fit.z) > DISTINCT for other in peaks):
                 peaks.append(peak)
     peaks.sort(key=lambda peak: -peak.fit.height)
@@ -171,13 +151,13 @@ def climb_likelihood(predictions, z) -> Fit:
     Derivatives, a prediction or two for each parameter, are kept for as long as steps with them become much
     shorter from one to the next. Where residuals are large their second derivatives count; these are learnt
     from one set of derivatives to the next. A parameter that a step would take out of its prior is from then
-    on measured from the bound, and stays within.
+    on measured from the bound, and stays within. Every sensor must have residuals at the maximum.
     """
     count, here = predictions.count, predictions(z)
     fit = Fit(predictions.coordinates, z, [], log_likelihood(here))
     if fit.height == -np.inf:
         raise ValueError("the fit must start where the likelihood is finite. Pass another `idata`.")
-    events = events_at(predictions, z, np.full(len(z), NARROW), here, fit.coordinates, central=False)
+    events = events_at(predictions, fit.coordinates, z, np.full(len(z), NARROW), here, central=False)
     fit = bounded(fit._replace(events=events), z)
     second, damping, last, central = np.zeros((len(z), len(z))), 1e-6, np.inf, False
     at, before = fit.w, fit.score  # where derivatives were taken
@@ -206,7 +186,7 @@ def climb_likelihood(predictions, z) -> Fit:
         central = length < NEAR
         scale = np.sqrt(np.diag(independent)).clip(min=np.finfo(float).tiny)
         steps = np.clip(DIFFERENCE / scale, NARROWEST, WIDEST)
-        events = events_at(predictions, fit.w, steps, here, fit.coordinates, central)
+        events = events_at(predictions, fit.coordinates, fit.w, steps, here, central)
         anew = fit._replace(events=events)
         if moved > 0.0:
             second = learnt(second, fit.w - at, fit.score - anew.score, before - anew.score)
@@ -214,6 +194,15 @@ def climb_likelihood(predictions, z) -> Fit:
         if fit is not anew:
             second = np.zeros_like(second)
         at, before, last = fit.w, fit.score, np.inf
+    for event in fit.events:
+        response = (event.sensitivities**2).sum(axis=1).max(axis=-1)
+        silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > ROUNDED**2 * response))
+        if silent.size:
+            raise ValueError(
+                f"the residuals of {event.value.name} must not vanish, got none at sensor {silent[0]}: data "
+                "without noise support no estimate of their errors. Add the measurement noise, or leave out "
+                "the sensor."
+            )
     frequencies = predictions.frequencies(fit.z)
     events = [e._replace(frequencies=f) for e, f in zip(fit.events, frequencies, strict=True)]
     return fit._replace(events=events, n_evaluations=predictions.count - count)

@@ -164,11 +164,6 @@ class Coordinates(NamedTuple):
     near: np.ndarray  # whether it is measured from a bound (d,)
     origin: np.ndarray  # z (d,) where the distance from an only bound is one: of the model's initial point
 
-    @classmethod
-    def plain(cls, sides, origin) -> "Coordinates":
-        """Unconstrained parameters."""
-        return cls(sides, np.zeros(len(sides), dtype=bool), origin)
-
     def of(self, z) -> np.ndarray:
         """Coordinates of an unconstrained point."""
         one = np.where(self.sides == 1, np.minimum(z - self.origin, LARGEST), 0.0)
@@ -223,15 +218,6 @@ class Event(NamedTuple):
         """r (sensor, time)."""
         return self.value.residuals
 
-    def whole(self, series):
-        """Series (sensor, time, ...) with what stands in for them in gaps.
-
-        In a gap of any sensor the series of all are taken in reverse order from beside it, half from before
-        and half from behind: errors seen backwards have the same spectrum, amplitude and share in common.
-        """
-        gaps = self.value.gaps.any(axis=0)
-        return series[:, mirrored(gaps)] if gaps.any() else series
-
     @property
     def score(self) -> np.ndarray:
         """Gradient of the log-likelihood (parameter,)."""
@@ -254,17 +240,6 @@ class Event(NamedTuple):
         """What one sensor alone tells of the response."""
         value = Comparison(*(x[[j]] for x in self.value[:5]), *self.value[5:])
         return Event(value, self.sensitivities[[j]], 0.0 * self.of_scale[[j]])
-
-
-def mirrored(gaps) -> np.ndarray:
-    """For each sample (time,) itself or, in a gap, the one that stands in for it: beyond the nearer end."""
-    at, known = np.arange(gaps.size), np.flatnonzero(~gaps)
-    for k in np.flatnonzero(gaps):
-        before, behind = 2 * known[known < k][-1:] + 1 - k, 2 * known[known > k][:1] - 1 - k
-        ends = sorted([*behind, *before], key=lambda end: abs(end - k))
-        inside = [end for end in ends if 0 <= end < gaps.size and not gaps[end]]
-        at[k] = inside[0] if inside else known[np.abs(known - k).argmin()]
-    return at
 
 
 class Fit(NamedTuple):
@@ -326,7 +301,7 @@ class Predictions:
         self.model, self.space, self.count = model, Unconstrained(model), 0
         self.comparisons, self.bounds = comparisons(model), bounds_of(model, self.space)
         sides = np.isfinite(self.bounds(self.space.point)).sum(axis=0)
-        self.coordinates = Coordinates.plain(sides, self.space.join(self.space.point))
+        self.coordinates = Coordinates(sides, sides < 0, self.space.join(self.space.point))
         self.function = self.compiled([x for one in self.comparisons for x in one[:5]])
         behind = [frequencies_behind(one.mu) for one in self.comparisons]
         self.modes = [pair and (self.compiled(pair[0], **PLAINLY), pair[1]) for pair in behind]
@@ -356,13 +331,11 @@ class Predictions:
         return [pair and pair[1](pair[0](*point)) for pair in self.modes]
 
 
-def events_at(predictions, w, steps, here, coordinates=None, central=True) -> list[Event]:
+def events_at(predictions, coordinates, w, steps, here, central=True) -> list[Event]:
     """Residuals and derivatives at a point (d,), by differences over some steps (d,) to both sides or one.
 
-    `here` are the predictions at the point. Coordinates are unconstrained parameters by default; differences
-    do not leave their limits.
+    `here` are the predictions at the point. Differences do not leave the limits of coordinates.
     """
-    coordinates = coordinates or predictions.coordinates
     low, high = coordinates.limits
     up = np.minimum(w + steps, high)
     down = np.where(central | (up == w), np.maximum(w - steps, low), w)

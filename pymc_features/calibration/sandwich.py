@@ -108,10 +108,10 @@ def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
     whiten = whitening(sum(event.of_response for event in events))
     models = [
         error_model(
-            event.whole(event.residuals),
+            event.residuals,
             event.sensitivities,
-            event.whole(event.value.mu),
-            event.whole(event.sensitivities),
+            event.value.mu,
+            event.value.gaps,
             edges_of(event),
             whiten if leverage else whiten[:, :0],
         )
@@ -130,10 +130,10 @@ def of_scale(event) -> np.ndarray:
     used = np.flatnonzero(event.of_scale.any(axis=0))
     result, square = np.zeros((event.of_scale.shape[1],) * 2), event.residuals**2
     if used.size:
-        measured = ~event.value.gaps
-        series = event.whole(square) - (square.sum(axis=1) / measured.sum(axis=1))[:, None]
-        whole = np.repeat(event.of_scale[:, None, used], series.shape[1], axis=1)
-        result[np.ix_(used, used)] = error_model(series, measured[..., None] * whole, whole=whole).variability
+        gaps = event.value.gaps
+        series = square - (square.sum(axis=1) / (~gaps).sum(axis=1))[:, None]
+        sensitivities = ~gaps[..., None] * event.of_scale[:, None, used]
+        result[np.ix_(used, used)] = error_model(series, sensitivities, gaps=gaps).variability
     return result
 
 
@@ -214,18 +214,21 @@ def sentence(growth: float) -> str:
     )
 
 
-def error_model(residuals, sensitivities, response=None, whole=None, edges=(), whiten=None) -> ErrorModel:
-    """Estimate B from residuals (sensor, time) and sensitivities (sensor, time, p).
+def error_model(residuals, sensitivities, response=None, gaps=None, edges=(), whiten=None) -> ErrorModel:
+    """Estimate B from residuals (sensor, time) and sensitivities (sensor, time, p), which are zero in gaps.
 
-    `response` (sensor, time) is what the amplitude of the errors may follow. Where the sensitivities are zero
-    in gaps, `whole` is what they are without: gaps must not hide that a score is static. `edges` are
-    frequencies between bands, in cycles per sample. `whiten` as of `taken`; None puts nothing back.
+    `response` (sensor, time) is what the amplitude of the errors may follow. `edges` are frequencies between
+    bands, in cycles per sample. `whiten` as of `taken`; None puts nothing back.
     """
-    n_all = residuals.shape[1]
-    both = [sensitivities] if whole is None or whole is sensitivities else [sensitivities, whole]
+    n_all, both = residuals.shape[1], [sensitivities]
+    response = np.zeros_like(residuals) if response is None else response
+    if gaps is not None and gaps.any():
+        at = mirrored(gaps.any(axis=0))
+        residuals, response = residuals[:, at], response[:, at]
+        both.append(sensitivities[:, at])  # gaps must not hide that a score is static
     n = max(samples_of_the_band(residuals, s) for s in both)
     r, s = resampled(residuals, n), resampled(sensitivities, n)
-    amplitude, follows = amplitudes(r, 0.0 * r if response is None else resampled(response, n))
+    amplitude, follows = amplitudes(r, resampled(response, n))
     back = 0.0 if whiten is None else taken(r, s @ whiten * np.sqrt(n_all / n))
     level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))
     r = r / amplitude + back / np.maximum(amplitude, level)
@@ -243,6 +246,20 @@ def error_model(residuals, sensitivities, response=None, whole=None, edges=(), w
     return ErrorModel(
         scores * ratio, variabilities * ratio**2, informations * ratio, memory(filters) * ratio, follows
     )
+
+
+def mirrored(gaps) -> np.ndarray:
+    """For each sample (time,) itself or, in a gap, the one that stands in for it: beyond the nearer end.
+
+    Errors seen backwards have the same spectrum, amplitude and share in common.
+    """
+    at, known = np.arange(gaps.size), np.flatnonzero(~gaps)
+    for k in np.flatnonzero(gaps):
+        before, behind = 2 * known[known < k][-1:] + 1 - k, 2 * known[known > k][:1] - 1 - k
+        ends = sorted([*behind, *before], key=lambda end: abs(end - k))
+        inside = [end for end in ends if 0 <= end < gaps.size and not gaps[end]]
+        at[k] = inside[0] if inside else known[np.abs(known - k).argmin()]
+    return at
 
 
 def taken(residuals, whitened):

@@ -13,7 +13,7 @@ from benchmarks import truth
 from benchmarks.coverage.bounds import LOWEST, PLACES, bounded, coverage, declare, exact, fitted, true_sd
 from benchmarks.coverage.errors import LEVEL, measurements
 from calibration.test_sandwich import errors_of, regression
-from pymc_features.calibration.maxima import climb_likelihood, peak_at
+from pymc_features.calibration.maxima import Peak, climb_likelihood
 from pymc_features.calibration.residuals import Coordinates, Predictions, bounds_of
 from pymc_features.calibration.stretched import CutNormal, curved
 from pymc_features.exceptions import CalibrationWarning
@@ -133,8 +133,8 @@ def test_curvature_beside_a_bound():
         mu = first * one + pm.math.exp(3.0 * second) / 3.0 * (one + 0.05 * other)
         pm.Normal("y", mu, pm.HalfNormal("sigma", 1.0), observed=one + (one + 0.05 * other) / 3.0 + errors)
     predictions = Predictions(model)
-    peak = peak_at(climb_likelihood(predictions, np.array([2.0, 0.0, -2.0])))
-    before = peak_at(peak.fit.measured_from_bounds(np.array([True, False, False])))
+    peak = Peak.at(climb_likelihood(predictions, np.array([2.0, 0.0, -2.0])))
+    before = Peak.at(peak.fit.measured_from_bounds(np.array([True, False, False])))
     matrices = [p.sandwich.information for p in (before, curved(predictions, before)[0])]
     assert abs(matrices[1][1, 1] / matrices[0][1, 1] - 1.0) > 1e-3
     alone = [np.linalg.inv(m)[0, 0] for m in matrices]
@@ -161,8 +161,8 @@ def test_a_positive_parameter_that_wants_to_vanish():
     predictions = Predictions(storeys(measured, *priors))
     level = np.log(LEVEL * np.sqrt(np.mean(response**2)))
     for damping in (0.03, 0.3):
-        peak = peak_at(climb_likelihood(predictions, np.array([np.log(damping), 1.0, 1.0, level])))
-        peak = peak_at(peak.fit.measured_from_bounds(peak.near_bounds()))
+        peak = Peak.at(climb_likelihood(predictions, np.array([np.log(damping), 1.0, 1.0, level])))
+        peak = Peak.at(peak.fit.measured_from_bounds(peak.near_bounds()))
         coordinates = peak.fit.coordinates
         assert coordinates.near.tolist() == [True, False, False, False]
         assert np.exp(peak.fit.z[0]) < 3.0 * peak.deviations[0] * np.exp(coordinates.origin[0]) < 0.05

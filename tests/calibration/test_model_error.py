@@ -11,7 +11,7 @@ from benchmarks import truth
 from benchmarks.coverage.errors import LEVEL, measurements
 from benchmarks.coverage.intervals import calibrated
 from benchmarks.coverage.model_errors import FAMILIES, covers, other_masses, outcome, right
-from pymc_features.calibration.maxima import climb_likelihood, of_base_noise, peak_at
+from pymc_features.calibration.maxima import Peak, climb_likelihood, of_base_noise
 from pymc_features.calibration.residuals import Predictions
 
 DT, DURATION = 0.02, 11.98  # s: 600 samples at 50 Hz, whose transforms are quick
@@ -178,7 +178,7 @@ def test_noise_of_the_base(interpolation):
     expected = back.T @ back
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(found / scale, expected / scale, atol=0.3)
-    peak = peak_at(fit)
+    peak = Peak.at(fit)
     together = peak.with_base_noise(predictions, 0.1).sandwich.variability[:3, :3]
     for matrix in (peak.sandwich.variability[:3, :3], found):
         assert np.linalg.eigvalsh(together - matrix).min() > -1e-9 * np.trace(together)
