@@ -57,7 +57,7 @@ def in_blocks(event, n):
     for first, last in zip(ends, ends[1:], strict=False):
         own = np.zeros_like(event.sensitivities)
         own[:, first:last] = event.sensitivities[:, first:last]
-        models.append(error_model(event.residuals, own, event.value.mu, whiten=whiten))
+        models.append(error_model(event.residuals, own, event.mu, whiten=whiten))
         scores.append(np.einsum("stp,st->p", own, event.residuals))
         informations.append(np.einsum("stp,stq->pq", own, own))
     variabilities = np.array([model.variability for model in models])

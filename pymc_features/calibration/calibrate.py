@@ -12,7 +12,7 @@ from scipy.special import logsumexp, softmax
 
 from pymc_features._checks import check_choice, check_model, check_positive, check_seed, warn_caller
 from pymc_features.calibration.maxima import Peak, best_fit, climb_likelihood, distinct_peaks, some_draws
-from pymc_features.calibration.residuals import Event, Predictions
+from pymc_features.calibration.residuals import Comparison, Predictions
 from pymc_features.calibration.sandwich import directions, known, sandwich, sentence, whitening
 from pymc_features.calibration.stretched import Stretched, StretchedSMC, bell, curved, prior_and_likelihood
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
@@ -437,7 +437,7 @@ def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = Non
 
 def fill(waiting, fit):
     """Set degrees of freedom to the observations that the residuals of a fit support."""
-    events = {event.value.name: event for event in fit.events}
+    events = {event.name: event for event in fit.events}
     for rv, data in waiting.items():
         counted = sensors_n_eff(events[rv.name])
         if np.isnan(counted).all():
@@ -446,7 +446,7 @@ def fill(waiting, fit):
         data.set_value(counted.reshape(data.get_value().shape))
 
 
-def sensors_n_eff(event: Event) -> np.ndarray:
+def sensors_n_eff(event: Comparison) -> np.ndarray:
     """Observations that residuals support (sensor,); NaN where no parameter changes the response."""
     counted = np.full(len(event.residuals), np.nan)
     for j in range(len(counted)):
@@ -477,11 +477,11 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     told = np.where(np.isin(every, known(result.information)), 1.0, np.nan)
     claims, covariance = (m * square * np.outer(told, told) for m in (result.claims, result.covariance))
     names = coordinate_names(predictions.model, predictions.space)
-    memory = [event.value.step * m.memory for event, m in zip(fit.events, result.models, strict=True)]
+    memory = [event.step * m.memory for event, m in zip(fit.events, result.models, strict=True)]
     over, of = ("parameter", "parameter_"), "parameter"
     variables = {
         "n_eff": ("sensor", np.concatenate([sensors_n_eff(event) for event in fit.events])),
-        "claimed": ("sensor", np.concatenate([event.value.claimed for event in fit.events])),
+        "claimed": ("sensor", np.concatenate([event.claimed for event in fit.events])),
         "time_constant": ("sensor", np.repeat(memory, [len(event.residuals) for event in fit.events])),
         "follows_response": ("sensor", np.concatenate([m.follows_response for m in result.models])),
         "n_eff_parameter": (of, fit.claimed * np.diag(claims) / np.diag(covariance)),
@@ -498,7 +498,7 @@ def described(predictions, peak: Peak) -> xr.Dataset:
         "n_eff_direction": ("direction", n_direction),
         "direction_vector": (("direction", of), (vectors / np.linalg.norm(vectors, axis=0)).T[::-1]),
     }
-    sensors = [f"{event.value.name}[{j}]" for event in fit.events for j in range(len(event.residuals))]
+    sensors = [f"{event.name}[{j}]" for event in fit.events for j in range(len(event.residuals))]
     attrs = {
         "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
         "claimed": fit.claimed,
@@ -513,10 +513,9 @@ def warn_of_short_records(fit, result):
     for event, model in zip(fit.events, result.models, strict=True):
         n = event.residuals.shape[1]
         if SHORT * model.memory > n:
-            _, step, name = event.value[4:]
-            step, unit = (1, "samples") if np.isnan(step) else (step, "s")
+            step, unit = (1, "samples") if np.isnan(event.step) else (event.step, "s")
             warn_caller(
-                f"the errors of {name} persist for {model.memory * step:.3g} {unit} of a record of "
+                f"the errors of {event.name} persist for {model.memory * step:.3g} {unit} of a record of "
                 f"{n * step:.3g} {unit}, too short to tell how they vary: intervals may be too narrow. Use "
                 "a longer record, or several events.",
                 CalibrationWarning,

@@ -175,7 +175,8 @@ def climb_likelihood(predictions, z) -> Fit:
             values = predictions(fit.coordinates.unconstrained(w))
             if (height := log_likelihood(values)) > fit.height:
                 here, damping, last = values, damping / 10.0, length
-                events = [e._replace(value=v) for e, v in zip(fit.events, here, strict=True)]
+                pairs = zip(here, fit.events, strict=True)
+                events = [v._replace(sensitivities=e.sensitivities, of_scale=e.of_scale) for v, e in pairs]
                 fit = fit._replace(w=w, height=height, events=events)
                 continue
             if moved == 0.0:
@@ -199,7 +200,7 @@ def climb_likelihood(predictions, z) -> Fit:
         silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > ROUNDED**2 * response))
         if silent.size:
             raise ValueError(
-                f"the residuals of {event.value.name} must not vanish, got none at sensor {silent[0]}: data "
+                f"the residuals of {event.name} must not vanish, got none at sensor {silent[0]}: data "
                 "without noise support no estimate of their errors. Add the measurement noise, or leave out "
                 "the sensor."
             )

@@ -37,7 +37,10 @@ PLAINLY = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}
 
 
 class Comparison(NamedTuple):
-    """One likelihood: tensors that can be broadcast, or arrays at a point, see `by_sensor`."""
+    """One likelihood: tensors that can be broadcast, or arrays at a point, see `by_sensor`.
+
+    There also its derivatives by coordinates w, see `Coordinates`, where they have been taken.
+    """
 
     mu: Any  # prediction (..., time)
     observed: Any  # data (..., time)
@@ -46,6 +49,9 @@ class Comparison(NamedTuple):
     decay: Any = np.inf  # sampling step over correlation time (...,); infinite for independent errors
     step: float = np.nan  # of the samples [s]; NaN if it is not known
     name: str = "y"  # of the random variable
+    sensitivities: Any = None  # S = -dr / dw at constant scale (sensor, time, parameter)
+    of_scale: Any = None  # d ln s / dw (sensor, parameter)
+    frequencies: Any = None  # natural ones [Hz] of the structure behind it; None without one
 
     def by_sensor(self) -> "Comparison":
         """Turn arrays into ones with one axis of sensors."""
@@ -80,6 +86,29 @@ class Comparison(NamedTuple):
     def log_scale(self) -> np.ndarray:
         """ln s (sensor,)."""
         return np.log(self.scale).mean(axis=-1)
+
+    @property
+    def score(self) -> np.ndarray:
+        """Gradient of the log-likelihood (parameter,)."""
+        excess = (self.residuals**2).sum(axis=1) - self.claimed
+        return np.einsum("stp,st->p", self.sensitivities, self.residuals) + excess @ self.of_scale
+
+    @property
+    def of_response(self) -> np.ndarray:
+        """Part of the information (parameter, parameter) that comes from the response: sum S S'."""
+        flat = self.sensitivities.reshape(-1, self.sensitivities.shape[-1])
+        return flat.T @ flat
+
+    @property
+    def information(self) -> np.ndarray:
+        """Minus the Hessian (parameter, parameter), by Gauss and Newton."""
+        squares = (self.residuals**2).sum(axis=1)
+        return self.of_response + 2.0 * (self.of_scale.T * squares) @ self.of_scale
+
+    def of_sensor(self, j) -> "Comparison":
+        """What one sensor alone tells of the response."""
+        some, s = (x[[j]] for x in self[:5]), self.sensitivities[[j]]
+        return Comparison(*some, self.step, self.name, s, 0.0 * self.of_scale[[j]])
 
 
 def log_likelihood(values: list[Comparison]) -> float:
@@ -205,49 +234,12 @@ def bounds_of(model, space):
     return model.compile_fn(bounds, inputs=model.value_vars, **PLAINLY)
 
 
-class Event(NamedTuple):
-    """One likelihood at a point with derivatives by coordinates w, see `Coordinates`."""
-
-    value: Comparison
-    sensitivities: np.ndarray  # S = -dr / dw at constant scale (sensor, time, parameter)
-    of_scale: np.ndarray  # d ln s / dw (sensor, parameter)
-    frequencies: np.ndarray | None = None  # natural ones [Hz] of the structure behind it; None without one
-
-    @property
-    def residuals(self) -> np.ndarray:
-        """r (sensor, time)."""
-        return self.value.residuals
-
-    @property
-    def score(self) -> np.ndarray:
-        """Gradient of the log-likelihood (parameter,)."""
-        excess = (self.residuals**2).sum(axis=1) - self.value.claimed
-        return np.einsum("stp,st->p", self.sensitivities, self.residuals) + excess @ self.of_scale
-
-    @property
-    def of_response(self) -> np.ndarray:
-        """Part of the information (parameter, parameter) that comes from the response: sum S S'."""
-        flat = self.sensitivities.reshape(-1, self.sensitivities.shape[-1])
-        return flat.T @ flat
-
-    @property
-    def information(self) -> np.ndarray:
-        """Minus the Hessian (parameter, parameter), by Gauss and Newton."""
-        squares = (self.residuals**2).sum(axis=1)
-        return self.of_response + 2.0 * (self.of_scale.T * squares) @ self.of_scale
-
-    def of_sensor(self, j) -> "Event":
-        """What one sensor alone tells of the response."""
-        value = Comparison(*(x[[j]] for x in self.value[:5]), *self.value[5:])
-        return Event(value, self.sensitivities[[j]], 0.0 * self.of_scale[[j]])
-
-
 class Fit(NamedTuple):
     """A point, and the likelihoods there; of a climb the maximum within the bounds of the prior."""
 
     coordinates: Coordinates
     w: np.ndarray  # (d,) in these
-    events: list[Event]
+    events: list[Comparison]  # with derivatives
     height: float = np.nan  # log-likelihood, without constants
     n_evaluations: int = 0  # predictions that it took
 
@@ -269,7 +261,7 @@ class Fit(NamedTuple):
     @property
     def claimed(self) -> float:
         """Observations that the likelihoods claim."""
-        return sum(float(event.value.claimed.sum()) for event in self.events)
+        return sum(float(event.claimed.sum()) for event in self.events)
 
     @property
     def squares(self) -> float:
@@ -331,7 +323,7 @@ class Predictions:
         return [pair and pair[1](pair[0](*point)) for pair in self.modes]
 
 
-def events_at(predictions, coordinates, w, steps, here, central=True) -> list[Event]:
+def events_at(predictions, coordinates, w, steps, here, central=True) -> list[Comparison]:
     """Residuals and derivatives at a point (d,), by differences over some steps (d,) to both sides or one.
 
     `here` are the predictions at the point. Differences do not leave the limits of coordinates.
@@ -351,5 +343,5 @@ def events_at(predictions, coordinates, w, steps, here, central=True) -> list[Ev
             np.stack([getattr(a, name) - getattr(b, name) for a, b in ends], axis=-1) / (up - down)
             for name in ("mu", "log_scale")
         )
-        events.append(Event(value, value.scaled(mu), log_scale))
+        events.append(value._replace(sensitivities=value.scaled(mu), of_scale=log_scale))
     return events

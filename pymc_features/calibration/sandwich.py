@@ -110,8 +110,8 @@ def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
         error_model(
             event.residuals,
             event.sensitivities,
-            event.value.mu,
-            event.value.gaps,
+            event.mu,
+            event.gaps,
             edges_of(event),
             whiten if leverage else whiten[:, :0],
         )
@@ -130,7 +130,7 @@ def of_scale(event) -> np.ndarray:
     used = np.flatnonzero(event.of_scale.any(axis=0))
     result, square = np.zeros((event.of_scale.shape[1],) * 2), event.residuals**2
     if used.size:
-        gaps = event.value.gaps
+        gaps = event.gaps
         series = square - (square.sum(axis=1) / (~gaps).sum(axis=1))[:, None]
         sensitivities = ~gaps[..., None] * event.of_scale[:, None, used]
         result[np.ix_(used, used)] = error_model(series, sensitivities, gaps=gaps).variability
@@ -179,7 +179,7 @@ def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, n
 
 def edges_of(event) -> np.ndarray:
     """Frequencies between bands, in cycles per sample."""
-    f = np.sort(np.multiply([] if event.frequencies is None else event.frequencies, event.value.step))
+    f = np.sort(np.multiply([] if event.frequencies is None else event.frequencies, event.step))
     f = f[f < HIGHEST]
     return 0.5 * (f[:-1] + f[1:])[: MOST_BANDS - 1]
 
