@@ -267,8 +267,8 @@ def check_draws(predictions, posterior, peak: Peak):
             "no width. Use a longer record, several events in one model, or priors that agree with the data.",
             CalibrationWarning,
         )
-    values = [predictions(z) for z in draws[:: max(1, len(draws) // CHECKED)]]
-    squares = [sum(np.sum(v.residuals**2) for v in x) / sum(v.claimed.sum() for v in x) for x in values]
+    fits = [peak.fit._replace(events=predictions(z)) for z in draws[:: max(1, len(draws) // CHECKED)]]
+    squares = [fit.squares / fit.claimed for fit in fits]
     wide = 1.0 + np.trace(peak.sandwich.claims @ peak.sandwich.variability) / peak.fit.squares
     if np.median(squares) > UNEXPLAINED**2 * wide:
         raise ValueError(
@@ -461,7 +461,7 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     """The Dataset of `effective_samples`."""
     (fit, result), (sides, near, origin) = peak, peak.fit.coordinates
     of_response = sum(event.of_response for event in fit.events)
-    if not known(of_response).size:
+    if not known(of_response).any():
         raise ValueError("`model` must have parameters that change the response, got none.")
     warn_of_short_records(fit, result)
     errors = result.factor**2 * sum(model.variability for model in result.models)
@@ -473,9 +473,8 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     one = np.exp(np.where(sides == 1, origin, 0.0)) * np.where(first == low, 1.0, -1.0)
     units = np.where(near, np.where(sides == 2, high - low, one), 1.0)
     to_first, to_last = peak.rooms
-    every, square = np.arange(len(units)), np.outer(units, units)
-    told = np.where(np.isin(every, known(result.information)), 1.0, np.nan)
-    claims, covariance = (m * square * np.outer(told, told) for m in (result.claims, result.covariance))
+    square, told = np.outer(units, units), np.where(known(result.information), units, np.nan)
+    claims, covariance = (m * np.outer(told, told) for m in (result.claims, result.covariance))
     names = coordinate_names(predictions.model, predictions.space)
     memory = [event.step * m.memory for event, m in zip(fit.events, result.models, strict=True)]
     over, of = ("parameter", "parameter_"), "parameter"
@@ -487,7 +486,7 @@ def described(predictions, peak: Peak) -> xr.Dataset:
         "n_eff_parameter": (of, fit.claimed * np.diag(claims) / np.diag(covariance)),
         "standard_deviation": (of, np.sqrt(np.diag(covariance))),
         "claimed_standard_deviation": (of, np.sqrt(np.diag(claims))),
-        "changes_response": (of, np.isin(every, known(of_response))),
+        "changes_response": (of, known(of_response)),
         "point": (of, np.where(near, first + units * fit.w, fit.w)),
         "near_bound": (of, near),
         "bound": (of, np.where(near, np.where(to_first < to_last, first, high), np.nan)),

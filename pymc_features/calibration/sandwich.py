@@ -102,31 +102,18 @@ class Sandwich(NamedTuple):
 def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
     """A, by Gauss and Newton, and B of independent events.
 
-    `model_error` "bands" lets the width grow where frequency bands disagree, None does not; `leverage` puts
-    back what the fit took out of the residuals.
+    `model_error` as of `calibrate`; `leverage` puts back what the fit took out of the residuals.
     """
     whiten = whitening(sum(event.of_response for event in events))
-    models = [
-        error_model(
-            event.residuals,
-            event.sensitivities,
-            event.mu,
-            event.gaps,
-            edges_of(event),
-            whiten if leverage else whiten[:, :0],
-        )
-        for event in events
-    ]
+    back = whiten if leverage else whiten[:, :0]
+    models = [error_model(e.residuals, e.sensitivities, e.mu, e.gaps, edges_of(e), back) for e in events]
     growth = growth_of(models, whiten.shape[1]) if model_error else np.nan
     errors = sum(model.variability for model in models) + sum(map(of_scale, events))
     return Sandwich(sum(event.information for event in events), errors, models, growth)
 
 
 def of_scale(event) -> np.ndarray:
-    """Covariance (d, d) of what the scales add to the score, sum_jk (r_jk^2 - m_j / N) d ln s_j / dz.
-
-    It is a sum over time, so that its covariance is that of N times the mean of a series.
-    """
+    """Covariance (d, d) of what the scales add to the score, sum_jk (r_jk^2 - m_j / N) d ln s_j / dw."""
     used = np.flatnonzero(event.of_scale.any(axis=0))
     result, square = np.zeros((event.of_scale.shape[1],) * 2), event.residuals**2
     if used.size:
@@ -138,9 +125,9 @@ def of_scale(event) -> np.ndarray:
 
 
 def known(matrix) -> np.ndarray:
-    """Parameters (d,) that a likelihood depends on."""
+    """Whether a likelihood depends on parameters (d,)."""
     diagonal = np.diag(matrix)
-    return np.flatnonzero(diagonal > FLAT**2 * diagonal.max(initial=0.0))
+    return diagonal > FLAT**2 * diagonal.max(initial=0.0)
 
 
 def whitening(information, flat=FLAT) -> np.ndarray:
@@ -267,9 +254,8 @@ def taken(residuals, whitened):
 
     A few lines of a spectrum decide a parameter near a resonance, and there the fit makes residuals small.
     For each line f, e_f becomes (1 - H_ff)^-1 e_f with H = S (sum S'S)^-1 S', the residual that a fit without
-    the line would leave (CR3; Bell & McCaffrey, Surv. Methodol. 28, 2002).
-
-    `whitened` (sensor, time, k) are the sensitivities times W, with W' (sum S'S) W = 1 over all events.
+    the line would leave (CR3; Bell & McCaffrey, Surv. Methodol. 28, 2002). `whitened` (sensor, time, k) are
+    the sensitivities times W, with W' (sum S'S) W = 1 over all events.
     """
     n = residuals.shape[1]
     e, s = (rfft(x, axis=1)[:, 1:].swapaxes(0, 1) for x in (residuals, whitened))
@@ -305,10 +291,9 @@ def resampled(x, n):
 
 
 def amplitudes(residuals, response):
-    """Standard deviation of the errors (sensor, time), and whose grow with the response (sensor,).
+    """Standard deviation of the errors (sensor, time), and whose grow with the response g (sensor,).
 
-    Their variance is constant or a + b g^2 + c times the mean of g^2 over a period, with g the response, if
-    that raises the log-likelihood by `SURE`.
+    Their variance is constant, or a + b g^2 + c times the mean of g^2 over a period if that is likelier.
     """
     n = residuals.shape[1]
     level = np.repeat(np.mean(residuals**2, axis=1, keepdims=True), n, axis=1)
@@ -329,9 +314,9 @@ def amplitudes(residuals, response):
 
 
 def autoregressions(x, largest):
-    """Filters (component, order + 1) that whiten signals (component, time), by Burg's method.
+    """Filters (component, order + 1) that whiten signals (component, time); one for all if that is better.
 
-    Orders by Akaike's criterion, corrected for short records; one filter for all, scaled, if that is better.
+    Orders by Akaike's criterion, corrected for short records.
     """
     n, k = x.shape[1], np.arange(largest + 1)
     scale = np.sqrt(np.mean(x**2, axis=1, keepdims=True)).clip(min=TINY)
@@ -372,11 +357,10 @@ def memory(filters):
 
 
 def by_band(white, spectrum, changes, starts):
-    """Parts of the score S(f)^H e(f), of B = S(f)^H Phi(f) S(f), and of S(f)^H G(f), by band.
+    """Parts of the score S(f)^H e(f), of B = S(f)^H Phi(f) S(f), and of S(f)^H G(f), by band from `starts`.
 
     Phi is the smoothed cross-periodogram of white (component, time); `spectrum` and `changes` (component,
-    frequency, p) are S and G, minus the derivative of e, of signals with as many zeros behind. Bands begin at
-    the frequencies `starts`.
+    frequency, p) are S and G, minus the derivative of e, of signals with as many zeros behind.
     """
     n, n_frequencies = white.shape[1], spectrum.shape[1]
     length = 2 * (n_frequencies - 1)

@@ -101,11 +101,10 @@ class StretchedSMC(PersistentSMC):
 def prior_and_likelihood(model, point, compile_kwargs) -> tuple:
     """Evaluations whose first result is the prior, with potentials, and whose second is the likelihood."""
     zero, of_prior = pt.zeros(()), [*model.free_RVs, *model.potentials]
-    of_model = ()  # what `sample` has compiled
-    if model.potentials:
-        of_model = "data", lambda: (zero, model.logp(vars=model.observed_RVs))
-    prior = population_logp(model, point, compile_kwargs, "prior", lambda: (model.logp(vars=of_prior), zero))
-    return prior, population_logp(model, point, compile_kwargs, *of_model)
+    prior = "potentials", lambda: (model.logp(vars=of_prior), zero)
+    data = "data", lambda: (zero, model.logp(vars=model.observed_RVs))
+    of_model = data if model.potentials else ()  # without, what `sample` has compiled
+    return tuple(population_logp(model, point, compile_kwargs, *terms) for terms in (prior, of_model))
 
 
 class Expansion(NamedTuple):
