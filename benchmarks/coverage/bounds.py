@@ -19,8 +19,9 @@ from benchmarks import truth
 from benchmarks.coverage.errors import LEVEL, measurements
 from benchmarks.tables import table
 from pymc_features.calibration.events import SHORT, interval
-from pymc_features.calibration.maxima import Peak, climb_likelihood
+from pymc_features.calibration.maxima import climb_likelihood
 from pymc_features.calibration.residuals import Predictions
+from pymc_features.calibration.sandwich import Peak
 
 FULL, QUICK = 1000, 20  # data sets
 RATE, DURATION, KIND = 50.0, 12.0, "AR(1), 0.05 s"  # Hz, s
@@ -93,7 +94,7 @@ def bounded(seed, upper) -> Bounded:
     sd = scale * peak.deviations[0]
     cal = draws(sd)
     bound = upper if upper - free < SHORT * sd else None
-    return Bounded(cal, draws(scale * np.sqrt(peak.sandwich.claims[0, 0])), interval(cal, bound=bound), free)
+    return Bounded(cal, draws(scale * np.sqrt(peak.claims[0, 0])), interval(cal, bound=bound), free)
 
 
 @functools.cache

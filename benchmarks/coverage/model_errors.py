@@ -21,9 +21,9 @@ import pymc_features as pmf
 from benchmarks import truth
 from benchmarks.coverage.errors import first_order
 from benchmarks.tables import table
-from pymc_features.calibration.maxima import Peak, climb_likelihood
+from pymc_features.calibration.maxima import climb_likelihood
 from pymc_features.calibration.residuals import Comparison, Coordinates
-from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.sandwich import Peak
 
 EVENTS, QUICK_EVENTS = 400, 12
 BLOCK = 20  # events of each truth and family, after which the table is printed
@@ -294,12 +294,12 @@ def outcome(family, respond, seed, n_records=1, change=None) -> Outcome:
     predictions = Predictions(family, pairs)
     fit = climb_likelihood(predictions, np.append(np.zeros(family.n_groups + 1), np.log(level)))
     p = family.n_groups + 1
-    plain = Peak(fit, sandwich(fit.events, None, leverage=False))
+    plain = Peak.at(fit, None, leverage=False)
     corrected = Peak.at(fit, None if what.noise else "bands")
     if what.noise:
         corrected = corrected.with_base_noise(predictions, what.noise)
     sd = [peak.deviations[:p] for peak in (plain, corrected)]
-    return Outcome(fit.w[:p], fit.information[:p, :p], *sd, corrected.sandwich.growth)
+    return Outcome(fit.w[:p], fit.information[:p, :p], *sd, corrected.growth)
 
 
 def covers(outcomes):

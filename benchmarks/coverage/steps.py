@@ -7,7 +7,8 @@ from benchmarks.coverage.chain import N_FACTORS, RATES, matrices, moved, record
 from benchmarks.coverage.errors import LEVEL, first_order
 from benchmarks.coverage.simulated import Predictions, start_of
 from benchmarks.tables import table
-from pymc_features.calibration.maxima import Peak, climb_likelihood
+from pymc_features.calibration.maxima import climb_likelihood
+from pymc_features.calibration.sandwich import Peak
 from pymc_features.calibration.stretched import curved
 from pymc_features.study.paper import MULTIPLIERS
 
@@ -60,5 +61,5 @@ def widths(data, finest, multiplier):
     predictions = Predictions(record(RATE), some, dt)
     fit = climb_likelihood(predictions, start_of(record(RATE), some, dt))
     peak, _ = curved(predictions, Peak.at(fit))
-    matrices = peak.sandwich.claims, peak.sandwich.covariance
+    matrices = peak.claims, peak.covariance
     return [np.sqrt(np.diag(m)[:N_FACTORS]).mean() for m in matrices]

@@ -11,9 +11,9 @@ from pytensor.graph.basic import Constant
 from scipy.special import logsumexp, softmax
 
 from pymc_features._checks import check_choice, check_model, check_positive, check_seed, warn_caller
-from pymc_features.calibration.maxima import Peak, best_fit, climb_likelihood, distinct_peaks, some_draws
-from pymc_features.calibration.residuals import Comparison, Predictions
-from pymc_features.calibration.sandwich import directions, known, sandwich, sentence, whitening
+from pymc_features.calibration.maxima import best_fit, climb_likelihood, distinct_peaks, some_draws
+from pymc_features.calibration.residuals import Fit, Predictions
+from pymc_features.calibration.sandwich import Peak, directions, known, sentence, whitening
 from pymc_features.calibration.stretched import Stretched, StretchedSMC, bell, curved, prior_and_likelihood
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
 from pymc_features.inference.parameters import coordinate_names, posterior_for, to_unconstrained
@@ -52,9 +52,8 @@ def calibrate(
 
     The likelihood is raised to the power, and stretched around its maximum by the matrix, that give it the
     curvature A B^-1 A, where B is the covariance of the score that the residuals support
-    (`effective_samples`). With the prior as it is, the posterior is sampled again. The maximum does not move,
-    the prior's bounds and information keep their meaning, and any likelihood of the response leads to nearly
-    the same interval.
+    (`effective_samples`), and the posterior is sampled again. The maximum does not move, the prior's bounds
+    and information keep their meaning, and any likelihood leads to nearly the same interval.
 
     Parameters
     ----------
@@ -74,21 +73,19 @@ def calibrate(
         parameters, at most by 2, where the model has natural frequencies; None does not.
     base_noise : float, optional
         Standard deviation of white noise on the record of the base [m/s^2], where it is known: intervals are
-        as wide at least as it makes them. Frequency bands, which disagree under such noise, are not compared
-        then.
+        as wide at least as it makes them, and frequency bands, which disagree then, are not compared.
     **settings
         Of `sample`. A `checkpoint` keeps all predictions.
 
     Returns
     -------
     DataTree
-        As from `sample`, of the calibrated posterior; `sample_stats` has the attribute `power`, and the group
-        `calibration` is what `effective_samples` returns, with the share of `leverage` in each standard
-        deviation: what the fit took out of the residuals. The attribute `calibration` is a table, in JSON,
-        of growth, parameters near a bound and leverage. With several modes that group has them as a
-        dimension, with their `weight`, and `sample_stats` says of which `mode` a draw is; its other numbers
-        are those of the heaviest. The evidence is that of the stretched likelihood, and must not be compared
-        with others.
+        As from `sample`; `sample_stats` has the attribute `power`, and the group `calibration` is what
+        `effective_samples` returns, with the share of `leverage` in each standard deviation: what the fit
+        took out of the residuals. The attribute `calibration` is a table, in JSON, of growth, parameters near
+        a bound and leverage. With several modes that group has them as a dimension, with their `weight`, and
+        `sample_stats` says of which `mode` a draw is; its other numbers are those of the heaviest. The
+        evidence is that of the stretched likelihood, and must not be compared with others.
 
     Raises
     ------
@@ -107,10 +104,9 @@ def calibrate(
     maximum, weighed by the likelihood itself: one prediction for each draw. Where weights are uneven, or more
     than 15 parameters change the response, the likelihood is sampled as by `sample`.
 
-    Modes that lie more than some standard deviations apart are calibrated each by itself. Each has the
-    evidence of its stretched likelihood, but the ratio of the maxima is raised to the power of the highest,
-    which decides how much one mode is likelier than another. A bias of the model, the same in every record,
-    is not seen in residuals.
+    Modes that lie more than three standard deviations apart are calibrated each by itself. Each has the
+    evidence of its stretched likelihood, with the ratio of the maxima raised to the power of the highest. A
+    bias of the model, the same in every record, is not seen in residuals.
 
     References
     ----------
@@ -135,8 +131,7 @@ def calibrate(
     peaks, expansions = map(list, zip(*(curved(predictions, peak) for peak in peaks), strict=True))
     if base_noise is not None:
         peaks = [peak.with_base_noise(predictions, base_noise) for peak in peaks]
-    compiled = settings.get("compile_kwargs") or {}
-    prior, likelihood = prior_and_likelihood(model, predictions.space.point, compiled)
+    prior, likelihood = prior_and_likelihood(predictions, settings.get("compile_kwargs") or {})
     parts = []
     with open_workers(settings.pop("executor", None)) as workers:
         if workers is not None:
@@ -162,10 +157,7 @@ def calibrate(
 
 
 def calibrated_mode(predictions, target: Stretched, expansion, found, number, settings, rng) -> xr.DataTree:
-    """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own.
-
-    The first draws are those `found`; a checkpoint keeps the likelihood in a file of this `number`.
-    """
+    """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own."""
     model, space = predictions.model, predictions.space
     settings = settings | {"kernel": StretchedSMC}
     if expansion is not None:
@@ -258,7 +250,7 @@ def warn_beyond(found):
 def check_draws(predictions, posterior, peak: Peak):
     """Warn if many draws are far from the maximum, and refuse those that do not explain the data."""
     draws = some_draws(predictions.model, posterior, LOOKED_AT)
-    n_directions = whitening(peak.sandwich.information).shape[1]
+    n_directions = whitening(peak.information).shape[1]
     away = np.mean(peak.distance(draws) ** 2 > FAR * n_directions)
     if away > MANY:
         warn_caller(
@@ -269,7 +261,7 @@ def check_draws(predictions, posterior, peak: Peak):
         )
     fits = [peak.fit._replace(events=predictions(z)) for z in draws[:: max(1, len(draws) // CHECKED)]]
     squares = [fit.squares / fit.claimed for fit in fits]
-    wide = 1.0 + np.trace(peak.sandwich.claims @ peak.sandwich.variability) / peak.fit.squares
+    wide = 1.0 + np.trace(peak.claims @ peak.variability) / peak.fit.squares
     if np.median(squares) > UNEXPLAINED**2 * wide:
         raise ValueError(
             "the calibrated draws must explain the data, got residuals "
@@ -280,8 +272,7 @@ def check_draws(predictions, posterior, peak: Peak):
 
 def leverage(peak: Peak) -> np.ndarray:
     """Share (d,) of the standard deviations that comes from what the fit took out of the residuals."""
-    errors = sandwich(peak.fit.events, None, leverage=False).errors
-    plain = peak._replace(sandwich=peak.sandwich._replace(errors=errors))
+    plain = peak._replace(errors=Peak.at(peak.fit, None, leverage=False).errors)
     return 1.0 - plain.deviations / peak.deviations
 
 
@@ -303,8 +294,7 @@ def effective_samples(
     as the likelihood claims (A) if the errors were what it takes them for. How much it does vary (B) is
     estimated from the residuals, over time and across sensors (``pymc_features.calibration.sandwich``). In a
     direction v of the parameters the residuals support m v' A^-1 v / v' A^-1 B A^-1 v independent
-    observations, where the likelihood claims m: all samples under NORM, two for each sensor under EXP, one
-    under TN.
+    observations, where the likelihood claims m.
 
     Parameters
     ----------
@@ -366,10 +356,9 @@ def effective_samples(
 def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = None) -> xr.Dataset:
     """Take the degrees of freedom m of each ``GammaFeature(..., m="residuals")`` from the residuals.
 
-    The likelihood is maximised with m = 2; the observations that the residuals of each sensor support, as
-    `effective_samples` counts them, become its m, and a second fit from there gives those that stay. A
-    sensor whose response no parameter changes gets the mean of the others. Repeat it after `pm.set_data`
-    with other data.
+    The likelihood is maximised with m = 2; the observations that the residuals of each sensor support become
+    its m, and a second fit from there gives those that stay. A sensor whose response no parameter changes
+    gets the mean of the others. Repeat it after `pm.set_data` with other data.
 
     Parameters
     ----------
@@ -446,25 +435,25 @@ def fill(waiting, fit):
         data.set_value(counted.reshape(data.get_value().shape))
 
 
-def sensors_n_eff(event: Comparison) -> np.ndarray:
+def sensors_n_eff(event) -> np.ndarray:
     """Observations that residuals support (sensor,); NaN where no parameter changes the response."""
     counted = np.full(len(event.residuals), np.nan)
     for j in range(len(counted)):
         alone = event.of_sensor(j)
         if alone.of_response.any():
-            values, _ = directions(alone.of_response, sandwich([alone]).variability)
+            values, _ = directions(alone.of_response, Peak.at(Fit(None, None, [alone])).errors)
             counted[j] = (alone.residuals**2).sum() / np.exp(np.mean(np.log(values.clip(min=TINY))))
     return counted
 
 
 def described(predictions, peak: Peak) -> xr.Dataset:
     """The Dataset of `effective_samples`."""
-    (fit, result), (sides, near, origin) = peak, peak.fit.coordinates
+    fit, (sides, near, origin) = peak.fit, peak.fit.coordinates
     of_response = sum(event.of_response for event in fit.events)
     if not known(of_response).any():
         raise ValueError("`model` must have parameters that change the response, got none.")
-    warn_of_short_records(fit, result)
-    errors = result.factor**2 * sum(model.variability for model in result.models)
+    warn_of_short_records(peak)
+    errors = peak.factor**2 * sum(model.variability for model in peak.models)
     values, vectors = directions(of_response, errors)
     n_direction = fit.squares / values[::-1].clip(min=TINY)
     # parameters near a bound on their own scale: the lower bound, or the only one, and the unit from there
@@ -473,16 +462,16 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     one = np.exp(np.where(sides == 1, origin, 0.0)) * np.where(first == low, 1.0, -1.0)
     units = np.where(near, np.where(sides == 2, high - low, one), 1.0)
     to_first, to_last = peak.rooms
-    square, told = np.outer(units, units), np.where(known(result.information), units, np.nan)
-    claims, covariance = (m * np.outer(told, told) for m in (result.claims, result.covariance))
+    square, told = np.outer(units, units), np.where(known(peak.information), units, np.nan)
+    claims, covariance = (m * np.outer(told, told) for m in (peak.claims, peak.covariance))
     names = coordinate_names(predictions.model, predictions.space)
-    memory = [event.step * m.memory for event, m in zip(fit.events, result.models, strict=True)]
+    memory = [event.step * m.memory for event, m in zip(fit.events, peak.models, strict=True)]
     over, of = ("parameter", "parameter_"), "parameter"
     variables = {
         "n_eff": ("sensor", np.concatenate([sensors_n_eff(event) for event in fit.events])),
         "claimed": ("sensor", np.concatenate([event.claimed for event in fit.events])),
         "time_constant": ("sensor", np.repeat(memory, [len(event.residuals) for event in fit.events])),
-        "follows_response": ("sensor", np.concatenate([m.follows_response for m in result.models])),
+        "follows_response": ("sensor", np.concatenate([m.follows_response for m in peak.models])),
         "n_eff_parameter": (of, fit.claimed * np.diag(claims) / np.diag(covariance)),
         "standard_deviation": (of, np.sqrt(np.diag(covariance))),
         "claimed_standard_deviation": (of, np.sqrt(np.diag(claims))),
@@ -491,25 +480,21 @@ def described(predictions, peak: Peak) -> xr.Dataset:
         "near_bound": (of, near),
         "bound": (of, np.where(near, np.where(to_first < to_last, first, high), np.nan)),
         "room": (of, np.where(near, np.minimum(to_first, to_last), np.nan)),
-        "information": (over, result.information / square),
-        "variability": (over, result.variability / square),
+        "information": (over, peak.information / square),
+        "variability": (over, peak.variability / square),
         "covariance": (over, covariance),
         "n_eff_direction": ("direction", n_direction),
         "direction_vector": (("direction", of), (vectors / np.linalg.norm(vectors, axis=0)).T[::-1]),
     }
     sensors = [f"{event.name}[{j}]" for event in fit.events for j in range(len(event.residuals))]
-    attrs = {
-        "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
-        "claimed": fit.claimed,
-        "n_evaluations": fit.n_evaluations,
-        "growth": result.growth,
-    }
+    n_eff, growth = float(np.exp(np.mean(np.log(n_direction)))), peak.growth
+    attrs = {"n_eff": n_eff, "claimed": fit.claimed, "n_evaluations": fit.n_evaluations, "growth": growth}
     return xr.Dataset(variables, {"parameter": names, "parameter_": names, "sensor": sensors}, attrs)
 
 
-def warn_of_short_records(fit, result):
+def warn_of_short_records(peak: Peak):
     """Warn of records that are too short to tell how their errors vary."""
-    for event, model in zip(fit.events, result.models, strict=True):
+    for event, model in zip(peak.fit.events, peak.models, strict=True):
         n = event.residuals.shape[1]
         if SHORT * model.memory > n:
             step, unit = (1, "samples") if np.isnan(event.step) else (event.step, "s")

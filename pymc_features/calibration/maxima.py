@@ -1,12 +1,10 @@
 """Maxima of a likelihood with what residuals say of their width: climbs, bounds nearby, several maxima."""
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from pymc_features.calibration.residuals import Fit, events_at, log_likelihood
-from pymc_features.calibration.sandwich import Sandwich, of_values, sandwich, stretching
+from pymc_features.calibration.sandwich import Peak, of_values, stretching
 from pymc_features.inference.parameters import to_unconstrained
 from pymc_features.inference.sample import search
 from pymc_features.smc import population_logp, prior_points
@@ -22,75 +20,12 @@ LEAST = 0.1  # of the information that the curvature is taken to have where it i
 LONGEST, LONGEST_SHARE = 1.0, 0.25  # step of a coordinate, and of one between two bounds
 BESIDE, MUCH = 0.05, 3.0  # share of the distance between bounds; how far on the unconstrained scale
 SINGULAR = 1e-12  # of the largest relative eigenvalue: directions that change nothing
-BOUNDED = 6.0  # standard deviations from a bound that count
 STARTS = 20  # draws of which the most likely is climbed from
 CLIMBS = 4  # from the draws that are farthest from what has been climbed from or to
 CANDIDATES = 100  # draws that these are chosen from
 DISTINCT = 3.0  # standard deviations, by the residuals, between maxima that are not one
 LIGHTEST = 1e-3  # weight of a mode that is left out
 ROUNDED = 1e-12  # of what a unit change of a parameter does to the response: rounding, no residuals
-REALISATIONS = 200  # of noise on a base: good to 5 % of a standard deviation
-
-
-class Peak(NamedTuple):
-    """A maximum of the likelihood and its sandwich."""
-
-    fit: Fit
-    sandwich: Sandwich
-
-    @classmethod
-    def at(cls, fit: Fit, model_error="bands") -> "Peak":
-        """A maximum with what the residuals there say."""
-        return cls(fit, sandwich(fit.events, model_error))
-
-    @property
-    def free(self) -> np.ndarray:
-        """Coordinates (d,) where the maximum would be without bounds, by one step beyond."""
-        return self.fit.w + self.sandwich.claims @ self.fit.pushing
-
-    @property
-    def deviations(self) -> np.ndarray:
-        """Standard deviations (d,) of coordinates, NaN of what the likelihood does not know."""
-        sd = np.sqrt(np.diag(self.sandwich.covariance))
-        return np.where(sd > 0, sd, np.nan)
-
-    @property
-    def rooms(self) -> np.ndarray:
-        """Standard deviations (2, d) from the bounds of the prior to the maximum without bounds."""
-        rooms, ratio = self.fit.coordinates.rooms(self.fit.z)
-        beyond = self.free - self.fit.w
-        return (rooms / ratio + [beyond, -beyond]) / self.deviations
-
-    def distance(self, z) -> np.ndarray:
-        """Standard deviations (...,) between the maximum and unconstrained points (..., d)."""
-        apart = self.fit.coordinates.of(z) - self.fit.w
-        return np.sqrt(np.einsum("...i,ij,...j->...", apart, self.sandwich.precision, apart))
-
-    def near_bounds(self) -> np.ndarray:
-        """Parameters (d,) whose prior ends so near to the maximum that this may shape the interval.
-
-        Those that no response depends on only where their score pushes them against it.
-        """
-        room = self.rooms.min(axis=0)
-        of_response = np.any([np.any(e.sensitivities, axis=(0, 1)) for e in self.fit.events], axis=0)
-        near = (self.fit.pushing != 0) | (of_response & (room < BOUNDED))
-        return (self.fit.coordinates.sides > 0) & near
-
-    def with_base_noise(self, predictions, sd: float) -> "Peak":
-        """Make the peak at least as wide, in every direction, as white noise on the base does [m/s^2]."""
-        noise, errors = of_base_noise(predictions, self.fit, sd), self.sandwich.errors
-        errors = errors + of_values(errors, noise, lambda ratios: np.maximum(ratios - 1.0, 0.0))
-        return Peak(self.fit, self.sandwich._replace(errors=errors))
-
-
-def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
-    """Covariance (d, d) of the score by white noise [m/s^2] on the base's record, by `REALISATIONS` of it."""
-    rng, scores = np.random.default_rng(0), []
-    for _ in range(REALISATIONS):
-        pairs = zip(predictions.with_noisy_base(fit.z, sd, rng), fit.events, strict=True)
-        off = [np.einsum("stp,st->p", e.sensitivities, v.residuals - e.residuals) for v, e in pairs]
-        scores.append(sum(off))
-    return np.einsum("np,nq->pq", scores, scores) / REALISATIONS
 
 
 def best_fit(predictions, idata, rng) -> Fit:
@@ -138,8 +73,8 @@ def distinct_peaks(predictions, idata, model_error, rng) -> list[Peak]:
                 peaks.append(peak)
     peaks.sort(key=lambda peak: -peak.fit.height)
     # weights by Laplace's approximation under a flat prior, heights by the power of the highest
-    power, _ = stretching(peaks[0].sandwich.information, peaks[0].sandwich.precision)
-    widths = [np.linalg.eigvalsh(peak.sandwich.precision) for peak in peaks]
+    power, _ = stretching(peaks[0].information, peaks[0].precision)
+    widths = [np.linalg.eigvalsh(peak.precision) for peak in peaks]
     volumes = [-0.5 * np.log(x[x > 1e-12 * x.max()]).sum() for x in widths]
     logs = np.array([power * p.fit.height + volume for p, volume in zip(peaks, volumes, strict=True)])
     return [p for p, log in zip(peaks, logs, strict=True) if log > np.max(logs) + np.log(LIGHTEST)]

@@ -31,6 +31,8 @@ from scipy.fft import dct, idct, irfft, rfft
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import nnls
 
+from pymc_features.calibration.residuals import Fit
+
 FLAT = 1e-10  # of the largest relative eigenvalue: directions that a likelihood cannot tell
 MOST_BANDS = 5  # the last one holds all frequencies above
 HIGHEST = 0.45  # of the sampling rate: frequencies above divide no bands
@@ -46,6 +48,8 @@ SMOOTHING = 12  # the spectrum of what is left is averaged over this part of the
 SURE = 3.0  # gain of log-likelihood that an amplitude that follows the response must bring
 QUIETEST = 1e-3  # least share of the mean variance
 MOST_TAKEN = 0.9  # of a direction that one line of the spectrum may decide: more is not put back
+BOUNDED = 6.0  # standard deviations from a bound that count
+REALISATIONS = 200  # of noise on a base: good to 5 % of a standard deviation
 TINY = np.finfo(float).tiny
 
 
@@ -64,13 +68,29 @@ class ErrorModel(NamedTuple):
         return self.variabilities.sum(axis=0)
 
 
-class Sandwich(NamedTuple):
-    """How much the likelihood claims to know, and how much its score varies."""
+class Peak(NamedTuple):
+    """A maximum of the likelihood, how much it claims to know there, and how much its score varies."""
 
+    fit: Fit
     information: np.ndarray  # A (d, d), minus the Hessian of the log-likelihood
     errors: np.ndarray  # B (d, d) before it grows; A if the likelihood's assumptions hold
-    models: list[ErrorModel]  # of each event
+    models: list[ErrorModel]  # of each likelihood
     growth: float = np.nan  # by how much the frequency bands disagree; NaN where there are none
+
+    @classmethod
+    def at(cls, fit, model_error="bands", leverage=True) -> "Peak":
+        """A, by Gauss and Newton, and B of independent likelihoods.
+
+        `model_error` as of `calibrate`; `leverage` puts back what the fit took out of the residuals.
+        """
+        whiten = whitening(sum(e.of_response for e in fit.events))
+        back = whiten if leverage else whiten[:, :0]
+        models = [
+            error_model(e.residuals, e.sensitivities, e.mu, e.gaps, edges_of(e), back) for e in fit.events
+        ]
+        growth = growth_of(models, whiten.shape[1]) if model_error else np.nan
+        errors = sum(model.variability for model in models) + sum(map(of_scale, fit.events))
+        return cls(fit, fit.information, errors, models, growth)
 
     @property
     def factor(self) -> float:
@@ -98,18 +118,54 @@ class Sandwich(NamedTuple):
         """A B^-1 A (d, d)."""
         return of_values(self.information, self.variability, np.reciprocal)
 
+    @property
+    def free(self) -> np.ndarray:
+        """Coordinates (d,) where the maximum would be without bounds, by one step beyond."""
+        return self.fit.w + self.claims @ self.fit.pushing
 
-def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
-    """A, by Gauss and Newton, and B of independent events.
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviations (d,) of coordinates, NaN of what the likelihood does not know."""
+        sd = np.sqrt(np.diag(self.covariance))
+        return np.where(sd > 0, sd, np.nan)
 
-    `model_error` as of `calibrate`; `leverage` puts back what the fit took out of the residuals.
-    """
-    whiten = whitening(sum(event.of_response for event in events))
-    back = whiten if leverage else whiten[:, :0]
-    models = [error_model(e.residuals, e.sensitivities, e.mu, e.gaps, edges_of(e), back) for e in events]
-    growth = growth_of(models, whiten.shape[1]) if model_error else np.nan
-    errors = sum(model.variability for model in models) + sum(map(of_scale, events))
-    return Sandwich(sum(event.information for event in events), errors, models, growth)
+    @property
+    def rooms(self) -> np.ndarray:
+        """Standard deviations (2, d) from the bounds of the prior to the maximum without bounds."""
+        rooms, ratio = self.fit.coordinates.rooms(self.fit.z)
+        beyond = self.free - self.fit.w
+        return (rooms / ratio + [beyond, -beyond]) / self.deviations
+
+    def distance(self, z) -> np.ndarray:
+        """Standard deviations (...,) between the maximum and unconstrained points (..., d)."""
+        apart = self.fit.coordinates.of(z) - self.fit.w
+        return np.sqrt(np.einsum("...i,ij,...j->...", apart, self.precision, apart))
+
+    def near_bounds(self) -> np.ndarray:
+        """Parameters (d,) whose prior ends so near to the maximum that this may shape the interval.
+
+        Those that no response depends on only where their score pushes them against it.
+        """
+        room = self.rooms.min(axis=0)
+        of_response = np.any([np.any(e.sensitivities, axis=(0, 1)) for e in self.fit.events], axis=0)
+        near = (self.fit.pushing != 0) | (of_response & (room < BOUNDED))
+        return (self.fit.coordinates.sides > 0) & near
+
+    def with_base_noise(self, predictions, sd: float) -> "Peak":
+        """Make the peak at least as wide, in every direction, as white noise on the base does [m/s^2]."""
+        noise, errors = of_base_noise(predictions, self.fit, sd), self.errors
+        errors = errors + of_values(errors, noise, lambda ratios: np.maximum(ratios - 1.0, 0.0))
+        return self._replace(errors=errors)
+
+
+def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
+    """Covariance (d, d) of the score by white noise [m/s^2] on the base's record, by `REALISATIONS` of it."""
+    rng, scores = np.random.default_rng(0), []
+    for _ in range(REALISATIONS):
+        pairs = zip(predictions.with_noisy_base(fit.z, sd, rng), fit.events, strict=True)
+        off = [np.einsum("stp,st->p", e.sensitivities, v.residuals - e.residuals) for v, e in pairs]
+        scores.append(sum(off))
+    return np.einsum("np,nq->pq", scores, scores) / REALISATIONS
 
 
 def of_scale(event) -> np.ndarray:

@@ -23,9 +23,8 @@ import pytensor.tensor as pt
 from scipy.special import ndtr, ndtri_exp
 from scipy.stats import truncnorm
 
-from pymc_features.calibration.maxima import Peak
 from pymc_features.calibration.residuals import Coordinates, log_likelihood
-from pymc_features.calibration.sandwich import stretching, whitening
+from pymc_features.calibration.sandwich import Peak, stretching, whitening
 from pymc_features.smc import PersistentSMC, Reference, population_logp, prior_points
 from pymc_features.smc.proposals.reference import Mode
 
@@ -56,10 +55,10 @@ class Stretched(NamedTuple):
     def around(cls, prior, likelihood, peak, others=()) -> "Stretched":
         """Stretch a likelihood around one of some peaks."""
         near, off = peak.fit.coordinates.near, peak.free - peak.fit.w
-        of_free, wanted = np.outer(~near, ~near), peak.sandwich.precision
+        of_free, wanted = np.outer(~near, ~near), peak.precision
         whiten = whitening(wanted * of_free)
         follow = -whiten @ whiten.T @ wanted * near
-        power, stretch = stretching(peak.sandwich.information * of_free, wanted * of_free)
+        power, stretch = stretching(peak.information * of_free, wanted * of_free)
         matrix = ~near[:, None] * (stretch @ (np.eye(len(near)) - follow))
         origin, pushed = peak.fit.w - matrix @ off, wanted @ off
         slope, bend = near * (pushed + follow.T @ pushed), np.outer(near, near) * (wanted + wanted @ follow)
@@ -98,9 +97,10 @@ class StretchedSMC(PersistentSMC):
         """All is compiled."""
 
 
-def prior_and_likelihood(model, point, compile_kwargs) -> tuple:
+def prior_and_likelihood(predictions, compile_kwargs) -> tuple:
     """Evaluations whose first result is the prior, with potentials, and whose second is the likelihood."""
-    zero, of_prior = pt.zeros(()), [*model.free_RVs, *model.potentials]
+    model, point, zero = predictions.model, predictions.space.point, pt.zeros(())
+    of_prior = [*model.free_RVs, *model.potentials]
     prior = "potentials", lambda: (model.logp(vars=of_prior), zero)
     data = "data", lambda: (zero, model.logp(vars=model.observed_RVs))
     of_model = data if model.potentials else ()  # without, what `sample` has compiled
@@ -143,9 +143,9 @@ def curved(predictions, peak: Peak) -> tuple[Peak, Expansion | None]:
     Both are along the axes of A, of parameters that are not near a bound: where they are correlated, a change
     of one of them alone by its standard deviation leads far away. No expansion along many axes.
     """
-    fit, result, free = peak.fit, peak.sandwich, ~peak.fit.coordinates.near
-    whiten = whitening(result.information * np.outer(free, free))
-    widths = np.sqrt(np.diag(whiten.T @ result.variability @ whiten))
+    fit, free = peak.fit, ~peak.fit.coordinates.near
+    whiten = whitening(peak.information * np.outer(free, free))
+    widths = np.sqrt(np.diag(whiten.T @ peak.variability @ whiten))
     steps = CURVED * np.minimum(widths, 1.0)
     axes, k, at_maximum = (whiten * steps).T, len(steps), predictions(fit.z)
 
@@ -164,9 +164,9 @@ def curved(predictions, peak: Peak) -> tuple[Peak, Expansion | None]:
     np.add.at(curvature, (first, second), -columns[1 + k :, 0])
     relative = (curvature + curvature.T) / np.outer(steps, steps)
     if np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
-        unwhiten = whiten.T @ result.information
+        unwhiten = whiten.T @ peak.information
         more = unwhiten.T @ (relative - np.eye(k)) @ unwhiten
-        peak = peak._replace(sandwich=result._replace(information=result.information + more))
+        peak = peak._replace(information=peak.information + more)
     if k > MOST_EXPANDED:
         return peak, None
     claimed = np.concatenate([v.claimed for v in at_maximum])
@@ -228,7 +228,7 @@ def bell(model, peak: Peak, rng) -> Reference:
     """The calibrated likelihood as it is expected, with the width of the prior where there is no other."""
     prior = prior_points(model, PRIOR_DRAWS, rng)
     centre, scale = prior.mean(axis=0), prior.std(axis=0)
-    near, mean, precision = peak.fit.coordinates.near, peak.free, peak.sandwich.precision
+    near, mean, precision = peak.fit.coordinates.near, peak.free, peak.precision
     wide = np.where(near, peak.deviations, scale) ** -2.0
     covariance = np.linalg.inv(precision * np.outer(~near, ~near) + np.diag(wide))
     mean += ~near * (covariance @ (~near * (centre - mean) * wide))

@@ -27,8 +27,8 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import expit, gammaincc, gammaln, logit
 
-from pymc_features.calibration.residuals import Comparison
-from pymc_features.calibration.sandwich import sandwich, stretching
+from pymc_features.calibration.residuals import Comparison, Fit
+from pymc_features.calibration.sandwich import Peak, stretching
 from pymc_features.likelihoods import LIKELIHOODS, abc_tolerance
 from pymc_features.likelihoods.catalogue import NORM, Exponents
 from pymc_features.study import paper
@@ -442,7 +442,7 @@ def calibrated(step: Step) -> ExactPosterior:
     event = value._replace(sensitivities=slopes, of_scale=of_scale, frequencies=frequencies)
     curvature = norm.c * curve.curvature * (of_theta / sigma) ** 2
     information = np.diag([curvature, 2.0 * norm.m * of_sigma**2])
-    precision = sandwich([event], model_error=None)._replace(information=information).precision
+    precision = Peak.at(Fit(None, None, [event]), None)._replace(information=information).precision
     power, matrix = stretching(information, precision)
     stretches = {
         "theta": Stretch(paper.THETA_RANGE, theta, float(matrix[0, 0])),

@@ -13,8 +13,9 @@ from benchmarks import truth
 from benchmarks.coverage.bounds import LOWEST, PLACES, bounded, coverage, declare, exact, fitted, true_sd
 from benchmarks.coverage.errors import LEVEL, measurements
 from calibration.test_sandwich import errors_of, regression
-from pymc_features.calibration.maxima import Peak, climb_likelihood
+from pymc_features.calibration.maxima import climb_likelihood
 from pymc_features.calibration.residuals import Coordinates, Predictions, bounds_of
+from pymc_features.calibration.sandwich import Peak
 from pymc_features.calibration.stretched import CutNormal, curved
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import Unconstrained, to_unconstrained
@@ -135,7 +136,7 @@ def test_curvature_beside_a_bound():
     predictions = Predictions(model)
     peak = Peak.at(climb_likelihood(predictions, np.array([2.0, 0.0, -2.0])))
     before = Peak.at(peak.fit.measured_from_bounds(np.array([True, False, False])))
-    matrices = [p.sandwich.information for p in (before, curved(predictions, before)[0])]
+    matrices = [p.information for p in (before, curved(predictions, before)[0])]
     assert abs(matrices[1][1, 1] / matrices[0][1, 1] - 1.0) > 1e-3
     alone = [np.linalg.inv(m)[0, 0] for m in matrices]
     np.testing.assert_allclose(alone[1], alone[0], rtol=1e-6)

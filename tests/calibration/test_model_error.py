@@ -11,8 +11,9 @@ from benchmarks import truth
 from benchmarks.coverage.errors import LEVEL, measurements
 from benchmarks.coverage.intervals import calibrated
 from benchmarks.coverage.model_errors import FAMILIES, covers, other_masses, outcome, right
-from pymc_features.calibration.maxima import Peak, climb_likelihood, of_base_noise
+from pymc_features.calibration.maxima import climb_likelihood, of_base_noise
 from pymc_features.calibration.residuals import Predictions
+from pymc_features.calibration.sandwich import Peak
 
 DT, DURATION = 0.02, 11.98  # s: 600 samples at 50 Hz, whose transforms are quick
 MASS, SPRINGS, DAMPING = np.ones(3), np.full(3, 1200.0), pmf.RayleighDamping(0.3, 5e-4)  # up to 9.9 Hz
@@ -179,6 +180,6 @@ def test_noise_of_the_base(interpolation):
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(found / scale, expected / scale, atol=0.3)
     peak = Peak.at(fit)
-    together = peak.with_base_noise(predictions, 0.1).sandwich.variability[:3, :3]
-    for matrix in (peak.sandwich.variability[:3, :3], found):
+    together = peak.with_base_noise(predictions, 0.1).variability[:3, :3]
+    for matrix in (peak.variability[:3, :3], found):
         assert np.linalg.eigvalsh(together - matrix).min() > -1e-9 * np.trace(together)

@@ -5,12 +5,12 @@ import pytest
 from scipy.fft import dct, idct
 from scipy.signal import lfilter
 
-from pymc_features.calibration.residuals import Comparison
+from pymc_features.calibration.residuals import Comparison, Fit
 from pymc_features.calibration.sandwich import (
+    Peak,
     burg,
     error_model,
     memory,
-    sandwich,
     sentence,
     taken,
 )
@@ -55,6 +55,11 @@ def event_of(residuals, sensitivities, response, frequencies=None):
     value = Comparison(response, response + residuals, 1.0, 1.0, step=DT).by_sensor()
     none = np.zeros((len(residuals), sensitivities.shape[-1]))
     return value._replace(sensitivities=sensitivities, of_scale=none, frequencies=frequencies)
+
+
+def sandwich(events, *how, **more):
+    """What the residuals of independent likelihoods say."""
+    return Peak.at(Fit(None, None, events), *how, **more)
 
 
 def least_squares(e, s):
