@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pymc as pm
-from scipy.special import logit
+from scipy.special import expit, logit
 from scipy.stats import truncnorm
 
 import pymc_features as pmf
@@ -83,9 +83,9 @@ def bounded(seed, upper) -> Bounded:
     """What is known of the first factor from one data set."""
     peak = fitted(seed, upper)
     rng, size, z = np.random.default_rng([5, seed]), upper - LOWEST, peak.fit.z
-    rooms, ratio = peak.fit.coordinates.rooms(z)
-    scale = size * ratio[0]
-    free = LOWEST + size * rooms[0, 0] + scale * (peak.free - peak.fit.w)[0]
+    ratio = 1.0 if peak.fit.coordinates.near[0] else expit(z[0]) * expit(-z[0])
+    scale = size * ratio
+    free = LOWEST + size * expit(z[0]) + scale * (peak.free - peak.fit.w)[0]
 
     def draws(sd):
         low, high = (np.array([LOWEST, upper]) - free) / sd

@@ -135,7 +135,7 @@ class Calibrated(NamedTuple):
 
     def density(self, log_prior, log_likelihood):
         """Log-density of unconstrained points (n, d), where no parameter is near a bound."""
-        stretched = Stretched.around(
+        stretched = Stretched(
             lambda z: (log_prior(z),),
             lambda z: (None, log_likelihood(z), np.zeros(len(z), dtype=bool)),
             self.peak,

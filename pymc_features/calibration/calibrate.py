@@ -139,7 +139,7 @@ def calibrate(
         for i, (peak, expansion) in enumerate(zip(peaks, expansions, strict=True)):
             found = described(predictions, peak).assign(leverage=("parameter", leverage(peak)))
             warn_beyond(found)
-            target = Stretched.around(prior, likelihood, peak, peaks[:i] + peaks[i + 1 :])
+            target = Stretched(prior, likelihood, peak, peaks[:i] + peaks[i + 1 :])
             search = Search(bell(model, peak, rng), 0, 0, "the maximum was known")
             sampled = calibrated_mode(predictions, target, expansion, search, i, settings, rng)
             sampled["sample_stats"].attrs["power"] = target.power
@@ -161,7 +161,7 @@ def calibrated_mode(predictions, target: Stretched, expansion, found, number, se
     model, space = predictions.model, predictions.space
     settings = settings | {"kernel": StretchedSMC}
     if expansion is not None:
-        guess = target._replace(likelihood=expansion)
+        guess = target.by(expansion)
         cheap = {"stage_draws": STAGE_DRAWS} | settings | {"checkpoint": None, "cores": 1, "logp": guess}
         idata = sample_from(found, model, space, **cheap)
         journal = journal_in(settings.get("checkpoint"), f"calibrated_{number}", model)

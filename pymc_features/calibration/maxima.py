@@ -18,7 +18,7 @@ SHORTER = 0.3  # than the step before must one be that is taken with the derivat
 NEAR = 0.1  # of such a standard error: derivatives there are those at the maximum
 LEAST = 0.1  # of the information that the curvature is taken to have where it is less, or negative
 LONGEST, LONGEST_SHARE = 1.0, 0.25  # step of a coordinate, and of one between two bounds
-BESIDE, MUCH = 0.05, 3.0  # share of the distance between bounds; how far on the unconstrained scale
+BESIDE = 3.0  # on the unconstrained scale, from the middle of two bounds: within 5 % of their distance
 SINGULAR = 1e-12  # of the largest relative eigenvalue: directions that change nothing
 STARTS = 20  # draws of which the most likely is climbed from
 CLIMBS = 4  # from the draws that are farthest from what has been climbed from or to
@@ -147,13 +147,13 @@ def climb_likelihood(predictions, z) -> Fit:
 def bounded(fit: Fit, start) -> Fit:
     """The fit, with parameters measured from the bound that they are beside and the next step would cross.
 
-    Beside an only bound is what has come much nearer to it since `start` (d,).
+    Beside an only bound is what has come nearer to it by so much since `start` (d,).
     """
     sides, near = fit.coordinates.sides, fit.coordinates.near
-    (low, high), ratio = fit.coordinates.rooms(fit.z)
-    step = ratio * newton(fit.information, fit.score, 0.0, (-np.inf, np.inf))
-    beside = np.where(sides == 2, low < BESIDE, fit.z < start - MUCH)
-    crosses = (sides > 0) & ~near & (beside & (step < -low) | (high < BESIDE) & (step > high))
+    low, high = fit.coordinates.rooms(fit.z)
+    step = newton(fit.information, fit.score, 0.0, (-np.inf, np.inf))
+    beside = fit.z < np.where(sides == 2, -BESIDE, start - BESIDE)
+    crosses = (sides > 0) & ~near & (beside & (step < -low) | (fit.z > BESIDE) & (step > high))
     return fit.measured_from_bounds(near | crosses) if crosses.any() else fit
 
 

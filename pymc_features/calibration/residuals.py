@@ -151,11 +151,7 @@ def comparison_correlated(op, rv, observed):
 
 
 def comparisons(model) -> list[Comparison]:
-    """All likelihoods of a model.
-
-    The step is that of the response as it is now, NaN of what is none. Gaps are refused in what is no feature
-    likelihood, and more of them than leave a spectrum to be seen.
-    """
+    """All likelihoods of a model, with the step of the response as it is now, NaN of what is none."""
     if not model.observed_RVs:
         raise ValueError("`model` must have observed variables, got none.")
     found = []
@@ -207,11 +203,11 @@ class Coordinates(NamedTuple):
         """Derivatives of the coordinates by z."""
         return np.where(self.near, self.of(z) * np.where(self.sides == 2, expit(-z), 1.0), 1.0)
 
-    def rooms(self, z) -> tuple[np.ndarray, np.ndarray]:
-        """To the lower or only bound and to the upper one (2, d), and their changes over those of w (d,)."""
+    def rooms(self, z) -> np.ndarray:
+        """How far w is from the lower or only bound and from the upper one (2, d), as it changes there."""
         own = self._replace(near=self.sides > 0)
         rooms = np.stack([own.of(z), np.where(self.sides == 2, expit(-z), np.inf)])
-        return rooms, own.slopes(z) / self.slopes(z)
+        return rooms * self.slopes(z) / own.slopes(z)
 
     @property
     def limits(self) -> np.ndarray:

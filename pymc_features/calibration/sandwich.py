@@ -132,9 +132,8 @@ class Peak(NamedTuple):
     @property
     def rooms(self) -> np.ndarray:
         """Standard deviations (2, d) from the bounds of the prior to the maximum without bounds."""
-        rooms, ratio = self.fit.coordinates.rooms(self.fit.z)
         beyond = self.free - self.fit.w
-        return (rooms / ratio + [beyond, -beyond]) / self.deviations
+        return (self.fit.coordinates.rooms(self.fit.z) + [beyond, -beyond]) / self.deviations
 
     def distance(self, z) -> np.ndarray:
         """Standard deviations (...,) between the maximum and unconstrained points (..., d)."""
@@ -146,9 +145,8 @@ class Peak(NamedTuple):
 
         Those that no response depends on only where their score pushes them against it.
         """
-        room = self.rooms.min(axis=0)
         of_response = np.any([np.any(e.sensitivities, axis=(0, 1)) for e in self.fit.events], axis=0)
-        near = (self.fit.pushing != 0) | (of_response & (room < BOUNDED))
+        near = (self.fit.pushing != 0) | (of_response & (self.rooms.min(axis=0) < BOUNDED))
         return (self.fit.coordinates.sides > 0) & near
 
     def with_base_noise(self, predictions, sd: float) -> "Peak":

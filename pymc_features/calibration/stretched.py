@@ -15,8 +15,8 @@ that of the others given d_b is the stretched likelihood at the maximum's w_b:
 with m(d_b) = P_ff^-1 (h_f - P_fb d_b). No likelihood is evaluated outside the prior.
 """
 
-import itertools
-from typing import Any, NamedTuple
+from copy import copy
+from typing import NamedTuple
 
 import numpy as np
 import pytensor.tensor as pt
@@ -34,36 +34,25 @@ FARTHEST = 1e4  # from the maximum: unconstrained values that rounding has made 
 PRIOR_DRAWS = 500  # that tell the width of the prior
 
 
-class Stretched(NamedTuple):
+class Stretched:
     """Log prior and calibrated log-likelihood around a maximum, evaluated as `PopulationLogp` is.
 
     `prior` and `likelihood` have the first and the second result of that. What is nearer to the peak of one
     of `others`, in standard deviations, has no likelihood here.
     """
 
-    prior: Any
-    likelihood: Any
-    peak: Peak
-    others: list[Peak]
-    power: float
-    origin: np.ndarray  # point (d,) and matrix (d, d): where the likelihood is evaluated instead
-    matrix: np.ndarray
-    slope: np.ndarray  # h and Q of parameters near a bound, (d,) and (d, d), see above
-    bend: np.ndarray
-
-    @classmethod
-    def around(cls, prior, likelihood, peak, others=()) -> "Stretched":
-        """Stretch a likelihood around one of some peaks."""
+    def __init__(self, prior, likelihood, peak: Peak, others=()):
         near, off = peak.fit.coordinates.near, peak.free - peak.fit.w
         of_free, wanted = np.outer(~near, ~near), peak.precision
         whiten = whitening(wanted * of_free)
         follow = -whiten @ whiten.T @ wanted * near
-        power, stretch = stretching(peak.information * of_free, wanted * of_free)
-        matrix = ~near[:, None] * (stretch @ (np.eye(len(near)) - follow))
-        origin, pushed = peak.fit.w - matrix @ off, wanted @ off
-        slope, bend = near * (pushed + follow.T @ pushed), np.outer(near, near) * (wanted + wanted @ follow)
-        peak, *others = (p._replace(fit=p.fit._replace(events=[])) for p in (peak, *others))
-        return cls(prior, likelihood, peak, others, power, origin, matrix, slope, bend)
+        self.power, stretch = stretching(peak.information * of_free, wanted * of_free)
+        self.matrix = ~near[:, None] * (stretch @ (np.eye(len(near)) - follow))
+        self.origin, pushed = peak.fit.w - self.matrix @ off, wanted @ off
+        self.slope = near * (pushed + follow.T @ pushed)
+        self.bend = np.outer(near, near) * (wanted + wanted @ follow)
+        self.peak, *self.others = (p._replace(fit=p.fit._replace(events=[])) for p in (peak, *others))
+        self.prior, self.likelihood = prior, likelihood
 
     def __call__(self, z):
         """Log prior, log-likelihood and failures, each (n,), of unconstrained points (n, d)."""
@@ -78,7 +67,13 @@ class Stretched(NamedTuple):
 
     def with_rng(self, rng) -> "Stretched":
         """Take random streams of its own where numbers are drawn inside."""
-        return self._replace(likelihood=self.likelihood.with_rng(rng))
+        return self.by(self.likelihood.with_rng(rng))
+
+    def by(self, likelihood) -> "Stretched":
+        """The same of another likelihood, or of another evaluation."""
+        other = copy(self)
+        other.likelihood = likelihood
+        return other
 
     @property
     def last_error(self) -> str:
@@ -159,9 +154,8 @@ def curved(predictions, peak: Peak) -> tuple[Peak, Expansion | None]:
         return np.concatenate(found)
 
     columns = second_order(value, fit.w, axes)
-    first, second = np.triu_indices(k)
     curvature = np.zeros((k, k))
-    np.add.at(curvature, (first, second), -columns[1 + k :, 0])
+    curvature[np.triu_indices(k)] = -columns[1 + k :, 0]
     relative = (curvature + curvature.T) / np.outer(steps, steps)
     if np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
         unwhiten = whiten.T @ peak.information
@@ -170,8 +164,8 @@ def curved(predictions, peak: Peak) -> tuple[Peak, Expansion | None]:
     if k > MOST_EXPANDED:
         return peak, None
     claimed = np.concatenate([v.claimed for v in at_maximum])
-    ends = 1 + np.cumsum([0, len(claimed), *(v.mu.shape[-1] for v in at_maximum for _ in v.claimed)])
-    log_scale, *series = (columns[:, i:j] for i, j in itertools.pairwise(ends))
+    lengths = [1, len(claimed), *(v.mu.shape[-1] for v in at_maximum for _ in v.claimed)]
+    _, log_scale, *series = np.split(columns, np.cumsum(lengths[:-1]), axis=1)
     gram = np.array([x @ x.T for x in series])
     return peak, Expansion(fit.coordinates, fit.w, np.linalg.pinv(axes).T, gram, log_scale, claimed)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pymc as pm
 import pytest
 import xarray as xr
+from scipy.special import expit
 from scipy.stats import kstest, norm, truncnorm
 
 import pymc_features as pmf
@@ -46,7 +47,7 @@ def test_a_truth_outside_the_prior():
 def test_nothing_jumps_when_the_maximum_reaches_the_bound():
     """The mean of the normal distribution behind the interval, for bounds on both sides of the maximum."""
     fit = fitted(0, 2.0).fit
-    maximum = LOWEST + 1.5 * fit.coordinates.rooms(fit.z)[0][0, 0]
+    maximum = LOWEST + 1.5 * expit(fit.z[0])
     for offset in (-0.5, -0.01, 0.01, 0.5):
         upper = maximum + offset * true_sd()
         peak = fitted(0, upper)

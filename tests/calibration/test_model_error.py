@@ -11,9 +11,9 @@ from benchmarks import truth
 from benchmarks.coverage.errors import LEVEL, measurements
 from benchmarks.coverage.intervals import calibrated
 from benchmarks.coverage.model_errors import FAMILIES, covers, other_masses, outcome, right
-from pymc_features.calibration.maxima import climb_likelihood, of_base_noise
+from pymc_features.calibration.maxima import climb_likelihood
 from pymc_features.calibration.residuals import Predictions
-from pymc_features.calibration.sandwich import Peak
+from pymc_features.calibration.sandwich import Peak, of_base_noise
 
 DT, DURATION = 0.02, 11.98  # s: 600 samples at 50 Hz, whose transforms are quick
 MASS, SPRINGS, DAMPING = np.ones(3), np.full(3, 1200.0), pmf.RayleighDamping(0.3, 5e-4)  # up to 9.9 Hz
