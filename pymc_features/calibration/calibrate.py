@@ -11,12 +11,12 @@ from pytensor.graph.basic import Constant
 from scipy.special import logsumexp, softmax
 
 from pymc_features._checks import check_choice, check_model, check_positive, check_seed, warn_caller
-from pymc_features.calibration.maxima import best_fit, climb_likelihood, distinct_peaks, some_draws
+from pymc_features.calibration.maxima import best_fit, climb_likelihood, distinct_peaks
 from pymc_features.calibration.residuals import Fit, Predictions
-from pymc_features.calibration.sandwich import Peak, directions, known, sentence, whitening
+from pymc_features.calibration.sandwich import TINY, Peak, directions, known, sentence, whitening
 from pymc_features.calibration.stretched import Stretched, StretchedSMC, bell, curved, prior_and_likelihood
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
-from pymc_features.inference.parameters import coordinate_names, posterior_for, to_unconstrained
+from pymc_features.inference.parameters import coordinate_names, posterior_for, some_draws, to_unconstrained
 from pymc_features.inference.sample import Search, journal_in, sample_from
 from pymc_features.likelihoods.declaration import warn_about_variance
 from pymc_features.likelihoods.mean_square import GammaFeatureRV, RequireDegrees
@@ -33,7 +33,6 @@ WANTED = 2.0  # standard deviations beyond a bound that make a warning
 KEPT = 100  # draws at a time of which a checkpoint keeps the likelihood
 SHORT = 5.0  # time constants of the errors that a record must be long
 FIRST = 2.0  # degrees of freedom of the first fit of `calibration.fill_degrees`: those of EXP
-TINY = np.finfo(float).tiny
 
 
 def calibrate(
@@ -137,14 +136,16 @@ def calibrate(
         if workers is not None:
             likelihood, settings["cores"] = workers.run().of(likelihood), 1
         for i, (peak, expansion) in enumerate(zip(peaks, expansions, strict=True)):
-            found = described(predictions, peak).assign(leverage=("parameter", leverage(peak)))
+            found = described(predictions, peak)
+            plain = peak._replace(errors=Peak.at(peak.fit, None, leverage=False).errors)
+            found["leverage"] = "parameter", 1.0 - plain.deviations / peak.deviations
             warn_beyond(found)
             target = Stretched(prior, likelihood, peak, peaks[:i] + peaks[i + 1 :])
             search = Search(bell(model, peak, rng), 0, 0, "the maximum was known")
             sampled = calibrated_mode(predictions, target, expansion, search, i, settings, rng)
             sampled["sample_stats"].attrs["power"] = target.power
             sampled["calibration"] = xr.DataTree(found)
-            check_draws(predictions, sampled["posterior"].to_dataset(), peak)
+            check_draws(predictions, sampled["posterior"], peak)
             parts.append(sampled)
     calibrated = pooled(parts, peaks, rng)
     calibrated.attrs["calibration"] = json.dumps(table(calibrated["calibration"].to_dataset()))
@@ -268,12 +269,6 @@ def check_draws(predictions, posterior, peak: Peak):
             f"{np.median(squares) ** 0.5:.3g} times as large as their own sigma. The priors exclude what the "
             "data want: widen them, or give sigma a wider prior."
         )
-
-
-def leverage(peak: Peak) -> np.ndarray:
-    """Share (d,) of the standard deviations that comes from what the fit took out of the residuals."""
-    plain = peak._replace(errors=Peak.at(peak.fit, None, leverage=False).errors)
-    return 1.0 - plain.deviations / peak.deviations
 
 
 def table(found: xr.Dataset) -> dict:
@@ -431,8 +426,7 @@ def fill(waiting, fit):
         counted = sensors_n_eff(events[rv.name])
         if np.isnan(counted).all():
             raise ValueError(f"`model` must have parameters that change the response of {rv.name}, got none.")
-        counted = np.where(np.isnan(counted), np.nanmean(counted), counted)
-        data.set_value(counted.reshape(data.get_value().shape))
+        data.set_value(np.nan_to_num(counted, nan=np.nanmean(counted)).reshape(data.get_value().shape))
 
 
 def sensors_n_eff(event) -> np.ndarray:

@@ -7,7 +7,7 @@ import xarray as xr
 from scipy.optimize import brentq
 from scipy.stats import chi2, t
 
-from pymc_features._checks import check_finite, check_group, check_share, check_texts
+from pymc_features._checks import check_finite, check_group, check_share, check_texts, message
 
 IMPROBABLE = 0.05  # p-value below which events are said to disagree
 FEWEST_DRAWS = 20
@@ -21,16 +21,15 @@ def event_check(
 ) -> xr.Dataset:
     """Compare the posteriors that several events give of the same parameters.
 
-    Residuals do not show an error that is the same all along a record: it leads each event to another value.
-    With posterior means x_e and variances v_e of E events,
+    An error that is the same all along a record leads each event to another value. With posterior means x_e
+    and variances v_e of E events,
 
         Q = sum_e (x_e - m)^2 / v_e,    m = sum_e (x_e / v_e) / sum_e (1 / v_e),
 
     is chi-square with E - 1 degrees of freedom if the intervals are right. By `growth`, the square root of
-    Q / (E - 1) but not below one, all intervals must grow to explain the scatter (Birge's ratio). The
-    interval for the value common to all events weighs them by 1 / (v_e + tau^2), where tau^2 is their scatter
-    (Paule & Mandel), and takes its width from how far they are apart, with Student's t of E - 1 degrees of
-    freedom (Hartung & Knapp).
+    Q / (E - 1) but not below one, all must grow to explain the scatter (Birge's ratio). The interval for the
+    value common to all events weighs them by 1 / (v_e + tau^2), with tau^2 their scatter (Paule & Mandel), and
+    takes its width from how far they are apart, with Student's t (Hartung & Knapp).
 
     Parameters
     ----------
@@ -126,11 +125,9 @@ def common_draws(events, var_names) -> list[dict[str, np.ndarray]]:
     from arviz_base import labels, xarray_var_iter  # slow to import
 
     if isinstance(events, xr.DataTree) or not isinstance(events, Sequence) or len(events) < 2:
-        raise TypeError(
-            "`events` must be a sequence of two or more posteriors, got "
-            f"{len(events) if isinstance(events, Sequence) else type(events).__name__}. Pass for example "
-            "[idata_1, idata_2]."
-        )
+        got = len(events) if isinstance(events, Sequence) else type(events).__name__
+        advice = "Pass for example [idata_1, idata_2]."
+        raise TypeError(message("events", "a sequence of two or more posteriors", got, advice))
     advice, label = "That is event {}. Pass what `sample` returned.", labels.BaseLabeller().make_label_flat
     posteriors = [
         check_group(event, "events", "posterior", advice.format(i), "chain", "draw")

@@ -5,7 +5,7 @@ from scipy.optimize import lsq_linear
 
 from pymc_features.calibration.residuals import Fit, events_at, log_likelihood
 from pymc_features.calibration.sandwich import Peak, of_values, stretching
-from pymc_features.inference.parameters import to_unconstrained
+from pymc_features.inference.parameters import some_draws, to_unconstrained
 from pymc_features.inference.sample import search
 from pymc_features.smc import population_logp, prior_points
 
@@ -29,10 +29,7 @@ ROUNDED = 1e-12  # of what a unit change of a parameter does to the response: ro
 
 
 def best_fit(predictions, idata, rng) -> Fit:
-    """The maximum near the most likely of a posterior's modes or, where it has none, of some draws.
-
-    Without a posterior near the most probable of the model's modes.
-    """
+    """The maximum near the most likely mode or draw of a posterior; without one near the model's first mode."""
     model = predictions.model
     if idata is None:
         logp = population_logp(model, predictions.space.point, {})
@@ -40,18 +37,11 @@ def best_fit(predictions, idata, rng) -> Fit:
         starts = prior_points(model, 10 * STARTS, rng) if found is None else found.peaks
         heights = np.add(*logp(starts)[:2])
     else:
-        starts = some_draws(model, idata["posterior"].to_dataset())
+        starts = some_draws(model, idata["posterior"], STARTS)
         if "modes" in idata.children and {rv.name for rv in model.free_RVs} <= set(idata["modes"].data_vars):
             starts = to_unconstrained(model, idata["modes"].to_dataset().expand_dims("chain"))[0]
         heights = [log_likelihood(predictions(z)) for z in starts] if len(starts) > 1 else [0.0]
     return climb_likelihood(predictions, starts[np.argmax(heights)])
-
-
-def some_draws(model, posterior, number=STARTS) -> np.ndarray:
-    """Unconstrained draws (n, d) of all chains, evenly spaced."""
-    every = max(1, posterior.sizes["chain"] * posterior.sizes["draw"] // number)
-    some = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
-    return some.reshape(-1, some.shape[-1])
 
 
 def distinct_peaks(predictions, idata, model_error, rng) -> list[Peak]:
@@ -59,7 +49,7 @@ def distinct_peaks(predictions, idata, model_error, rng) -> list[Peak]:
     model = predictions.model
     fit = best_fit(predictions, idata, rng)
     peaks, known = [Peak.at(fit, model_error)], [fit.z]
-    draws = some_draws(model, idata["posterior"].to_dataset(), CANDIDATES)
+    draws = some_draws(model, idata["posterior"], CANDIDATES)
     scale = draws.std(axis=0)
     scale[scale == 0.0] = 1.0
     for _ in range(min(CLIMBS, len(draws) - 1)):

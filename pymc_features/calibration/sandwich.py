@@ -83,13 +83,11 @@ class Peak(NamedTuple):
 
         `model_error` as of `calibrate`; `leverage` puts back what the fit took out of the residuals.
         """
-        whiten = whitening(sum(e.of_response for e in fit.events))
+        events, whiten = fit.events, whitening(sum(e.of_response for e in fit.events))
         back = whiten if leverage else whiten[:, :0]
-        models = [
-            error_model(e.residuals, e.sensitivities, e.mu, e.gaps, edges_of(e), back) for e in fit.events
-        ]
+        models = [error_model(e.residuals, e.sensitivities, e.mu, e.gaps, edges_of(e), back) for e in events]
         growth = growth_of(models, whiten.shape[1]) if model_error else np.nan
-        errors = sum(model.variability for model in models) + sum(map(of_scale, fit.events))
+        errors = sum(model.variability for model in models) + sum(map(of_scale, events))
         return cls(fit, fit.information, errors, models, growth)
 
     @property
@@ -282,11 +280,8 @@ def error_model(residuals, sensitivities, response=None, gaps=None, edges=(), wh
     spectrum = rfft(s, 2 * n, axis=1) / whitens.conj()
     changes = rfft(changes, 2 * n, axis=1) * whitens
     starts = np.unique(np.r_[0, np.ceil(2 * n_all * np.asarray(edges)).astype(int).clip(max=n)])
-    ratio = n_all / n
-    scores, variabilities, informations = by_band(white, spectrum, changes, starts)
-    return ErrorModel(
-        scores * ratio, variabilities * ratio**2, informations * ratio, memory(filters) * ratio, follows
-    )
+    (u, b, a), ratio = by_band(white, spectrum, changes, starts), n_all / n
+    return ErrorModel(u * ratio, b * ratio**2, a * ratio, memory(filters) * ratio, follows)
 
 
 def mirrored(gaps) -> np.ndarray:
@@ -330,10 +325,8 @@ def samples_of_the_band(residuals, sensitivities):
     power = dct(sensitivities, axis=1, norm="ortho") ** 2
     power = (power / power.sum(axis=(0, 1), keepdims=True).clip(min=TINY)).sum(axis=2)
     errors = uniform_filter1d(dct(residuals, axis=1, norm="ortho") ** 2, n // SMOOTHING, axis=1)
-    highest = 0
-    for share in (power.sum(axis=0), (power * errors).sum(axis=0)):
-        below = np.cumsum(share)
-        highest = max(highest, int(np.searchsorted(below, (1.0 - LOST) * below[-1])) + 1)
+    below = np.cumsum([power.sum(axis=0), (power * errors).sum(axis=0)], axis=1)
+    highest = 1 + max(np.searchsorted(x, (1.0 - LOST) * x[-1]) for x in below)
     return n if highest < STATIC else min(n, max(FEWEST, int(np.ceil(MARGIN * highest))))
 
 
@@ -361,8 +354,7 @@ def amplitudes(residuals, response):
         for _ in range(4):
             coefficients, _ = nnls(columns / variance[:, None], square / variance)
             variance = np.maximum(columns @ coefficients, QUIETEST * mean)
-        gain = 0.5 * np.sum(np.log(mean / variance) - square / variance + square / mean)
-        if gain > SURE:
+        if 0.5 * np.sum(np.log(mean / variance) - square / variance + square / mean) > SURE:
             follows[j], level[j] = True, variance
     return np.sqrt(level), follows
 
@@ -377,10 +369,9 @@ def autoregressions(x, largest):
     (alone, shared), (gain, shared_gain) = burg(np.stack([x, x / scale]), largest, [[False], [True]])
     score = n * np.log(gain) + (2.0 * (k + 1) * n / (n - k - 2))
     together = n * len(x) * np.log(shared_gain[0]) + 2.0 * (k + len(x))
+    filters = alone[np.arange(len(x)), score.argmin(axis=1)]
     if together.min() < score.min(axis=1).sum():
         filters = shared[:, together.argmin()]
-    else:
-        filters = alone[np.arange(len(x)), score.argmin(axis=1)]
     return filters[:, : 1 + np.flatnonzero(filters.any(axis=0)).max()]
 
 
@@ -421,9 +412,7 @@ def by_band(white, spectrum, changes, starts):
     bands = [slice(*ends) for ends in itertools.pairwise([*starts, n_frequencies])]
     twice = np.full(n_frequencies, 2.0)
     twice[[0, -1]] = 1.0
-    e = rfft(
-        np.pad(white, ((0, 0), (length // 2 - n, 0))), length, axis=1
-    )  # lost by the filters, at the start
+    e = rfft(np.pad(white, ((0, 0), (length // 2 - n, 0))), length, axis=1)  # filters lose the start
     back = spectrum.conj() * (twice / length)[:, None]
     scores = np.add.reduceat(np.einsum("cfp,cf->fp", back, e).real, starts, axis=0)
     informations = [np.tensordot(back[:, f], changes[:, f], ([0, 1], [0, 1])).real for f in bands]

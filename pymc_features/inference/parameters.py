@@ -115,6 +115,13 @@ def to_unconstrained(model, posterior) -> np.ndarray:
     return np.array(rows)
 
 
+def some_draws(model, posterior, number: int) -> np.ndarray:
+    """About so many unconstrained draws (n, d) of all chains of a posterior, evenly spaced."""
+    every = max(1, posterior.sizes["chain"] * posterior.sizes["draw"] // number)
+    some = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
+    return some.reshape(-1, some.shape[-1])
+
+
 class Unconstrained:
     """Flat points x (d,) on the unconstrained scale, and the variables they stand for.
 
