@@ -446,7 +446,16 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     of_response = sum(event.of_response for event in fit.events)
     if not known(of_response).any():
         raise ValueError("`model` must have parameters that change the response, got none.")
-    warn_of_short_records(peak)
+    for event, model in zip(fit.events, peak.models, strict=True):
+        n = event.residuals.shape[1]
+        if SHORT * model.memory > n:
+            step, unit = (1, "samples") if np.isnan(event.step) else (event.step, "s")
+            warn_caller(
+                f"the errors of {event.name} persist for {model.memory * step:.3g} {unit} of a record of "
+                f"{n * step:.3g} {unit}, too short to tell how they vary: intervals may be too narrow. Use "
+                "a longer record, or several events.",
+                CalibrationWarning,
+            )
     errors = peak.factor**2 * sum(model.variability for model in peak.models)
     values, vectors = directions(of_response, errors)
     n_direction = fit.squares / values[::-1].clip(min=TINY)
@@ -484,17 +493,3 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     n_eff, growth = float(np.exp(np.mean(np.log(n_direction)))), peak.growth
     attrs = {"n_eff": n_eff, "claimed": fit.claimed, "n_evaluations": fit.n_evaluations, "growth": growth}
     return xr.Dataset(variables, {"parameter": names, "parameter_": names, "sensor": sensors}, attrs)
-
-
-def warn_of_short_records(peak: Peak):
-    """Warn of records that are too short to tell how their errors vary."""
-    for event, model in zip(peak.fit.events, peak.models, strict=True):
-        n = event.residuals.shape[1]
-        if SHORT * model.memory > n:
-            step, unit = (1, "samples") if np.isnan(event.step) else (event.step, "s")
-            warn_caller(
-                f"the errors of {event.name} persist for {model.memory * step:.3g} {unit} of a record of "
-                f"{n * step:.3g} {unit}, too short to tell how they vary: intervals may be too narrow. Use "
-                "a longer record, or several events.",
-                CalibrationWarning,
-            )

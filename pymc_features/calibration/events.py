@@ -28,8 +28,8 @@ def event_check(
 
     is chi-square with E - 1 degrees of freedom if the intervals are right. By `growth`, the square root of
     Q / (E - 1) but not below one, all must grow to explain the scatter (Birge's ratio). The interval for the
-    value common to all events weighs them by 1 / (v_e + tau^2), with tau^2 their scatter (Paule & Mandel), and
-    takes its width from how far they are apart, with Student's t (Hartung & Knapp).
+    value common to all events weighs them by 1 / (v_e + tau^2), tau^2 their scatter (Paule & Mandel), and its
+    width comes from how far they are apart, with Student's t (Hartung & Knapp).
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ ROUNDED = 1e-12  # of what a unit change of a parameter does to the response: ro
 
 
 def best_fit(predictions, idata, rng) -> Fit:
-    """The maximum near the most likely mode or draw of a posterior; without one near the model's first mode."""
+    """The maximum near the likeliest mode or draw of a posterior; without one near the model's first mode."""
     model = predictions.model
     if idata is None:
         logp = population_logp(model, predictions.space.point, {})
@@ -135,14 +135,11 @@ def climb_likelihood(predictions, z) -> Fit:
 
 
 def bounded(fit: Fit, start) -> Fit:
-    """The fit, with parameters measured from the bound that they are beside and the next step would cross.
-
-    Beside an only bound is what has come nearer to it by so much since `start` (d,).
-    """
+    """The fit, with parameters measured from the bound that they are beside and the next step would cross."""
     sides, near = fit.coordinates.sides, fit.coordinates.near
     low, high = fit.coordinates.rooms(fit.z)
     step = newton(fit.information, fit.score, 0.0, (-np.inf, np.inf))
-    beside = fit.z < np.where(sides == 2, -BESIDE, start - BESIDE)
+    beside = fit.z < np.where(sides == 2, 0.0, start) - BESIDE  # an only bound: nearer by so much
     crosses = (sides > 0) & ~near & (beside & (step < -low) | (fit.z > BESIDE) & (step > high))
     return fit.measured_from_bounds(near | crosses) if crosses.any() else fit
 

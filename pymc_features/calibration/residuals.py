@@ -320,10 +320,7 @@ class Predictions:
 
 
 def events_at(predictions, coordinates, w, steps, here, central=True) -> list[Comparison]:
-    """Residuals and derivatives at a point (d,), by differences over some steps (d,) to both sides or one.
-
-    `here` are the predictions at the point. Differences do not leave the limits of coordinates.
-    """
+    """Predictions `here`, with derivatives by differences over steps (d,), within limits, at a point (d,)."""
     low, high = coordinates.limits
     up = np.minimum(w + steps, high)
     down = np.where(central | (up == w), np.maximum(w - steps, low), w)

@@ -149,19 +149,14 @@ class Peak(NamedTuple):
 
     def with_base_noise(self, predictions, sd: float) -> "Peak":
         """Make the peak at least as wide, in every direction, as white noise on the base does [m/s^2]."""
-        noise, errors = of_base_noise(predictions, self.fit, sd), self.errors
-        errors = errors + of_values(errors, noise, lambda ratios: np.maximum(ratios - 1.0, 0.0))
-        return self._replace(errors=errors)
-
-
-def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
-    """Covariance (d, d) of the score by white noise [m/s^2] on the base's record, by `REALISATIONS` of it."""
-    rng, scores = np.random.default_rng(0), []
-    for _ in range(REALISATIONS):
-        pairs = zip(predictions.with_noisy_base(fit.z, sd, rng), fit.events, strict=True)
-        off = [np.einsum("stp,st->p", e.sensitivities, v.residuals - e.residuals) for v, e in pairs]
-        scores.append(sum(off))
-    return np.einsum("np,nq->pq", scores, scores) / REALISATIONS
+        rng, scores = np.random.default_rng(0), []
+        for _ in range(REALISATIONS):
+            pairs = zip(predictions.with_noisy_base(self.fit.z, sd, rng), self.fit.events, strict=True)
+            off = [np.einsum("stp,st->p", e.sensitivities, v.residuals - e.residuals) for v, e in pairs]
+            scores.append(sum(off))
+        noise = np.einsum("np,nq->pq", scores, scores) / REALISATIONS
+        wider = of_values(self.errors, noise, lambda ratios: np.maximum(ratios - 1.0, 0.0))
+        return self._replace(errors=self.errors + wider)
 
 
 def of_scale(event) -> np.ndarray:
@@ -285,10 +280,7 @@ def error_model(residuals, sensitivities, response=None, gaps=None, edges=(), wh
 
 
 def mirrored(gaps) -> np.ndarray:
-    """For each sample (time,) itself or, in a gap, the one that stands in for it: beyond the nearer end.
-
-    Errors seen backwards have the same spectrum, amplitude and share in common.
-    """
+    """For each sample (time,) itself or, in a gap, one beyond the nearer end: errors are alike backwards."""
     at, known = np.arange(gaps.size), np.flatnonzero(~gaps)
     for k in np.flatnonzero(gaps):
         before, behind = 2 * known[known < k][-1:] + 1 - k, 2 * known[known > k][:1] - 1 - k

@@ -135,8 +135,8 @@ class Expansion(NamedTuple):
 def curved(predictions, peak: Peak) -> tuple[Peak, Expansion | None]:
     """The peak with the likelihood's own curvature as A, where that is positive, and its expansion.
 
-    Both are along the axes of A, of parameters that are not near a bound: where they are correlated, a change
-    of one of them alone by its standard deviation leads far away. No expansion along many axes.
+    Both are along the axes of A, of parameters not near a bound: where they are correlated, a change of one
+    alone by its standard deviation leads far away. No expansion along many axes.
     """
     fit, free = peak.fit, ~peak.fit.coordinates.near
     whiten = whitening(peak.information * np.outer(free, free))
