@@ -29,7 +29,7 @@ ROUNDED = 1e-12  # of what a unit change of a parameter does to the response: ro
 
 
 def best_fit(predictions, idata, rng) -> Fit:
-    """The maximum near the likeliest mode or draw of a posterior; without one near the model's first mode."""
+    """The maximum near the likeliest mode or draw of a posterior, or, without one, mode of the model."""
     model = predictions.model
     if idata is None:
         logp = population_logp(model, predictions.space.point, {})

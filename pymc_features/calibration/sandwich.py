@@ -79,10 +79,7 @@ class Peak(NamedTuple):
 
     @classmethod
     def at(cls, fit, model_error="bands", leverage=True) -> "Peak":
-        """A, by Gauss and Newton, and B of independent likelihoods.
-
-        `model_error` as of `calibrate`; `leverage` puts back what the fit took out of the residuals.
-        """
+        """What residuals say; `model_error` as of `calibrate`, `leverage` puts back what the fit took away."""
         events, whiten = fit.events, whitening(sum(e.of_response for e in fit.events))
         back = whiten if leverage else whiten[:, :0]
         models = [error_model(e.residuals, e.sensitivities, e.mu, e.gaps, edges_of(e), back) for e in events]
@@ -352,10 +349,7 @@ def amplitudes(residuals, response):
 
 
 def autoregressions(x, largest):
-    """Filters (component, order + 1) that whiten signals (component, time); one for all if that is better.
-
-    Orders by Akaike's criterion, corrected for short records.
-    """
+    """Filters (component, order + 1) that whiten signals (component, time), alike if their AICc is better."""
     n, k = x.shape[1], np.arange(largest + 1)
     scale = np.sqrt(np.mean(x**2, axis=1, keepdims=True)).clip(min=TINY)
     (alone, shared), (gain, shared_gain) = burg(np.stack([x, x / scale]), largest, [[False], [True]])
@@ -368,10 +362,7 @@ def autoregressions(x, largest):
 
 
 def burg(signals, largest, shared=False):
-    """Filters (..., order, order + 1) of signals (..., time), or one of all in a row where they are `shared`.
-
-    With them the residual variance (..., order) over that of the signals.
-    """
+    """Filters (..., order, order + 1) of signals (..., time), rows `shared` or not; variances left over."""
     forward, backward = signals[..., 1:], signals[..., :-1]
     filters = np.zeros((*signals.shape[:-1], largest + 1, largest + 1))
     variance = np.ones(filters.shape[:-1])
