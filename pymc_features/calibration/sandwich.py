@@ -79,7 +79,7 @@ class Peak(NamedTuple):
 
     @classmethod
     def at(cls, fit, model_error="bands", leverage=True) -> "Peak":
-        """What residuals say; `model_error` as of `calibrate`, `leverage` puts back what the fit took away."""
+        """What residuals say; `model_error` as of `calibrate`, `leverage` puts back what the fit took."""
         events, whiten = fit.events, whitening(sum(e.of_response for e in fit.events))
         back = whiten if leverage else whiten[:, :0]
         models = [error_model(e.residuals, e.sensitivities, e.mu, e.gaps, edges_of(e), back) for e in events]
