@@ -250,8 +250,7 @@ def warn_beyond(found):
 def check_draws(predictions, posterior, peak: Peak):
     """Warn if many draws are far from the maximum, and refuse those that do not explain the data."""
     draws = some_draws(predictions.model, posterior, LOOKED_AT)
-    n_directions = whitening(peak.information).shape[1]
-    away = np.mean(peak.distance(draws) ** 2 > FAR * n_directions)
+    away = np.mean(peak.distance(draws) ** 2 > FAR * whitening(peak.information).shape[1])
     if away > MANY:
         warn_caller(
             f"{100 * away:.0f} % of the calibrated draws are far from the likelihood's maximum: the "
@@ -342,7 +341,7 @@ def effective_samples(
     model = check_model(source if isinstance(source, pm.Model) else model)
     idata = None if source is model else source
     if idata is not None:
-        posterior_for(model, idata, "source")
+        posterior_for(model, idata, "source", "Or pass a model, for a fit without draws.")
     predictions = Predictions(model)
     return described(predictions, Peak.at(best_fit(predictions, idata, np.random.default_rng(random_seed))))
 
@@ -444,16 +443,7 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     of_response = sum(event.of_response for event in fit.events)
     if not known(of_response).any():
         raise ValueError("`model` must have parameters that change the response, got none.")
-    for event, model in zip(fit.events, peak.models, strict=True):
-        n = event.residuals.shape[1]
-        if SHORT * model.memory > n:
-            step, unit = (1, "samples") if np.isnan(event.step) else (event.step, "s")
-            warn_caller(
-                f"the errors of {event.name} persist for {model.memory * step:.3g} {unit} of a record of "
-                f"{n * step:.3g} {unit}, too short to tell how they vary: intervals may be too narrow. Use "
-                "a longer record, or several events.",
-                CalibrationWarning,
-            )
+    warn_of_short_records(peak)
     errors = peak.factor**2 * sum(model.variability for model in peak.models)
     values, vectors = directions(of_response, errors)
     n_direction = fit.squares / values[::-1].clip(min=TINY)
@@ -491,3 +481,17 @@ def described(predictions, peak: Peak) -> xr.Dataset:
     n_eff, growth = float(np.exp(np.mean(np.log(n_direction)))), peak.growth
     attrs = {"n_eff": n_eff, "claimed": fit.claimed, "n_evaluations": fit.n_evaluations, "growth": growth}
     return xr.Dataset(variables, {"parameter": names, "parameter_": names, "sensor": sensors}, attrs)
+
+
+def warn_of_short_records(peak: Peak):
+    """Warn of records that are too short to tell how their errors vary."""
+    for event, model in zip(peak.fit.events, peak.models, strict=True):
+        n = event.residuals.shape[1]
+        if SHORT * model.memory > n:
+            step, unit = (1, "samples") if np.isnan(event.step) else (event.step, "s")
+            warn_caller(
+                f"the errors of {event.name} persist for {model.memory * step:.3g} {unit} of a record of "
+                f"{n * step:.3g} {unit}, too short to tell how they vary: intervals may be too narrow. Use "
+                "a longer record, or several events.",
+                CalibrationWarning,
+            )

@@ -52,9 +52,11 @@ def initial_values(model, point: dict | None = None, argument: str = "point") ->
     return {name: np.asarray(v, dtype=np.float64) for name, v in zip(names, values, strict=True)}
 
 
-def posterior_for(model, idata, name: str) -> xr.Dataset:
+SAME_MODEL = "Pass what `sample` returned for the same model."
+
+
+def posterior_for(model, idata, name: str, advice: str = SAME_MODEL) -> xr.Dataset:
     """The posterior group of a DataTree, with finite draws (chain, draw, ...) of every free parameter."""
-    advice = "Pass what `sample` returned for the same model."
     posterior = check_group(idata, name, "posterior", advice, "chain", "draw")
     missing = [rv.name for rv in model.free_RVs if rv.name not in posterior]
     if missing:
