@@ -139,9 +139,10 @@ def calibrate(
             plain = peak._replace(errors=Peak.at(peak.fit, None, leverage=False).errors)
             found["leverage"] = "parameter", 1.0 - plain.deviations / peak.deviations
             warn_beyond(found)
-            target = Stretched(prior, likelihood, peak, peaks[:i] + peaks[i + 1 :])
+            of_peak = peak, peaks[:i] + peaks[i + 1 :]
+            target, guess = (Stretched(prior, one, *of_peak) for one in (likelihood, expansion))
             search = Search(bell(model, peak, rng), 0, 0, "the maximum was known")
-            sampled = calibrated_mode(predictions, target, expansion, search, i, settings, rng)
+            sampled = calibrated_mode(predictions, target, guess, search, i, settings, rng)
             sampled["sample_stats"].attrs["power"] = target.power
             sampled["calibration"] = xr.DataTree(found)
             check_draws(predictions, sampled["posterior"], peak)
@@ -156,12 +157,11 @@ def calibrate(
     return calibrated
 
 
-def calibrated_mode(predictions, target: Stretched, expansion, found, number, settings, rng) -> xr.DataTree:
+def calibrated_mode(predictions, target: Stretched, guess, found, number, settings, rng) -> xr.DataTree:
     """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own."""
     model, space = predictions.model, predictions.space
     settings = settings | {"kernel": StretchedSMC}
-    if expansion is not None:
-        guess = target.by(expansion)
+    if guess.likelihood is not None:
         cheap = {"stage_draws": STAGE_DRAWS} | settings | {"checkpoint": None, "cores": 1, "logp": guess}
         idata = sample_from(found, model, space, **cheap)
         journal = journal_in(settings.get("checkpoint"), f"calibrated_{number}", model)

@@ -67,18 +67,19 @@ class Stretched:
 
     def with_rng(self, rng) -> "Stretched":
         """Take random streams of its own where numbers are drawn inside."""
-        return self.by(self.likelihood.with_rng(rng))
-
-    def by(self, likelihood) -> "Stretched":
-        """The same of another likelihood, or of another evaluation."""
         other = copy(self)
-        other.likelihood = likelihood
+        other.likelihood = self.likelihood.with_rng(rng)
         return other
 
     @property
     def last_error(self) -> str:
         """What the model raised last; empty if nothing did."""
         return self.likelihood.last_error
+
+    @property
+    def draws_random_numbers(self) -> bool:
+        """Whether two evaluations of the same point may differ."""
+        return self.likelihood.draws_random_numbers
 
 
 class StretchedSMC(PersistentSMC):
