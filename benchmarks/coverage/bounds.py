@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pymc as pm
-from scipy.special import logit
+from scipy.special import expit, logit
 from scipy.stats import truncnorm
 
 import pymc_features as pmf
@@ -19,8 +19,9 @@ from benchmarks import truth
 from benchmarks.coverage.errors import LEVEL, measurements
 from benchmarks.tables import table
 from pymc_features.calibration.events import SHORT, interval
-from pymc_features.calibration.maxima import Peak, climb_likelihood, peak_at
+from pymc_features.calibration.maxima import climb_likelihood
 from pymc_features.calibration.residuals import Predictions
+from pymc_features.calibration.sandwich import Peak
 
 FULL, QUICK = 1000, 20  # data sets
 RATE, DURATION, KIND = 50.0, 12.0, "AR(1), 0.05 s"  # Hz, s
@@ -75,16 +76,16 @@ def fitted(seed, upper) -> Peak:
     inside = (min(1.0, upper - 1e-3) - LOWEST) / (upper - LOWEST)
     start = np.array([logit(inside), 1.0, 1.0, np.log(LEVEL * np.sqrt(np.mean(response**2)))])
     fit = climb_likelihood(predictions, start)
-    return peak_at(fit.measured_from_bounds(peak_at(fit).near_bounds()))
+    return Peak.at(fit.measured_from_bounds(Peak.at(fit).near_bounds()))
 
 
 def bounded(seed, upper) -> Bounded:
     """What is known of the first factor from one data set."""
     peak = fitted(seed, upper)
     rng, size, z = np.random.default_rng([5, seed]), upper - LOWEST, peak.fit.z
-    rooms, ratio = peak.fit.coordinates.rooms(z)
-    scale = size * ratio[0]
-    free = LOWEST + size * rooms[0, 0] + scale * (peak.free - peak.fit.w)[0]
+    ratio = 1.0 if peak.fit.coordinates.near[0] else expit(z[0]) * expit(-z[0])
+    scale = size * ratio
+    free = LOWEST + size * expit(z[0]) + scale * (peak.free - peak.fit.w)[0]
 
     def draws(sd):
         low, high = (np.array([LOWEST, upper]) - free) / sd
@@ -93,7 +94,7 @@ def bounded(seed, upper) -> Bounded:
     sd = scale * peak.deviations[0]
     cal = draws(sd)
     bound = upper if upper - free < SHORT * sd else None
-    return Bounded(cal, draws(scale * np.sqrt(peak.sandwich.claims[0, 0])), interval(cal, bound=bound), free)
+    return Bounded(cal, draws(scale * np.sqrt(peak.claims[0, 0])), interval(cal, bound=bound), free)
 
 
 @functools.cache

@@ -17,7 +17,7 @@ from benchmarks.coverage.errors import first_order
 from benchmarks.tables import table
 from pymc_features.calibration.maxima import climb_likelihood
 from pymc_features.calibration.residuals import Predictions
-from pymc_features.calibration.sandwich import LARGEST, error_model, growth_of, sandwich, whitening
+from pymc_features.calibration.sandwich import LARGEST, Peak, error_model, growth_of, whitening
 
 EVENTS, QUICK_EVENTS = 200, 8
 N_PARAMETERS, BLOCKS, LEVEL, WIDE = 4, (2, 3, 5), 4e3, 1.645  # N, standard deviations of 90 %
@@ -57,7 +57,7 @@ def in_blocks(event, n):
     for first, last in zip(ends, ends[1:], strict=False):
         own = np.zeros_like(event.sensitivities)
         own[:, first:last] = event.sensitivities[:, first:last]
-        models.append(error_model(event.residuals, own, event.value.mu, event.sensitivities, whiten=whiten))
+        models.append(error_model(event.residuals, own, event.mu, whiten=whiten))
         scores.append(np.einsum("stp,st->p", own, event.residuals))
         informations.append(np.einsum("stp,stq->pq", own, own))
     variabilities = np.array([model.variability for model in models])
@@ -78,7 +78,7 @@ def outcome(name, seed):
     force = truth.specimen_force(law, displacement + slack, rtol=1e-8)
     force = force + LEVEL * first_order(rng, (1, force.size), 1.0, 5.0)[0]
     fit = climb_likelihood(Predictions(declare(displacement, force)), START)
-    sd = np.sqrt(np.diag(sandwich(fit.events).covariance))
+    sd = np.sqrt(np.diag(Peak.at(fit).covariance))
     growth = [growth_of([in_blocks(fit.events[0], n)], N_PARAMETERS) for n in BLOCKS]
     return fit.z[:N_PARAMETERS], sd[:N_PARAMETERS], np.fmin(np.fmax(growth, 1.0), LARGEST)
 

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.calibration.maxima import Peak, climb_likelihood, peak_at
+from pymc_features.calibration.maxima import climb_likelihood
+from pymc_features.calibration.sandwich import Peak
 from pymc_features.calibration.stretched import Stretched, curved
 from pymc_features.smc.proposals.proposal import StudentT
 
@@ -134,7 +135,7 @@ class Calibrated(NamedTuple):
 
     def density(self, log_prior, log_likelihood):
         """Log-density of unconstrained points (n, d), where no parameter is near a bound."""
-        stretched = Stretched.around(
+        stretched = Stretched(
             lambda z: (log_prior(z),),
             lambda z: (None, log_likelihood(z), np.zeros(len(z), dtype=bool)),
             self.peak,
@@ -145,11 +146,10 @@ class Calibrated(NamedTuple):
 def calibrated(predictions, z, n_parameters, model_error="bands") -> Calibrated:
     """The steps of `calibrate` for a likelihood with its maximum near z (d,)."""
     fit = climb_likelihood(predictions, z)
-    near = peak_at(fit, model_error).near_bounds()
-    peak, _ = curved(predictions, peak_at(fit.measured_from_bounds(near), model_error))
-    result = peak.sandwich
-    claims, covariance = (m[:n_parameters, :n_parameters] for m in (result.claims, result.covariance))
+    near = Peak.at(fit, model_error).near_bounds()
+    peak, _ = curved(predictions, Peak.at(fit.measured_from_bounds(near), model_error))
+    claims, covariance = (m[:n_parameters, :n_parameters] for m in (peak.claims, peak.covariance))
     ratio = np.linalg.slogdet(claims)[1] - np.linalg.slogdet(covariance)[1]
-    factors = (np.linalg.cholesky(m) for m in (result.covariance, result.claims))
+    factors = (np.linalg.cholesky(m) for m in (peak.covariance, peak.claims))
     n_eff = fit.claimed * np.exp(ratio / n_parameters)
-    return Calibrated(peak, fit.z, *factors, n_eff, result.growth)
+    return Calibrated(peak, fit.z, *factors, n_eff, peak.growth)

@@ -21,9 +21,9 @@ import pymc_features as pmf
 from benchmarks import truth
 from benchmarks.coverage.errors import first_order
 from benchmarks.tables import table
-from pymc_features.calibration.maxima import Peak, climb_likelihood, peak_at
+from pymc_features.calibration.maxima import climb_likelihood
 from pymc_features.calibration.residuals import Comparison, Coordinates
-from pymc_features.calibration.sandwich import sandwich
+from pymc_features.calibration.sandwich import Peak
 
 EVENTS, QUICK_EVENTS = 400, 12
 BLOCK = 20  # events of each truth and family, after which the table is printed
@@ -220,7 +220,7 @@ class Predictions:
     def __init__(self, family, measured):
         self.family, self.measured, self.count = family, measured, 0
         n = family.n_groups + 2
-        self.coordinates = Coordinates.plain(np.zeros(n, dtype=int), np.zeros(n))
+        self.coordinates = Coordinates(np.zeros(n, dtype=int), np.zeros(n, dtype=bool), np.zeros(n))
 
     def structure(self, w):
         """The model at factors."""
@@ -294,12 +294,12 @@ def outcome(family, respond, seed, n_records=1, change=None) -> Outcome:
     predictions = Predictions(family, pairs)
     fit = climb_likelihood(predictions, np.append(np.zeros(family.n_groups + 1), np.log(level)))
     p = family.n_groups + 1
-    plain = Peak(fit, sandwich(fit.events, None, leverage=False))
-    corrected = peak_at(fit, None if what.noise else "bands")
+    plain = Peak.at(fit, None, leverage=False)
+    corrected = Peak.at(fit, None if what.noise else "bands")
     if what.noise:
         corrected = corrected.with_base_noise(predictions, what.noise)
     sd = [peak.deviations[:p] for peak in (plain, corrected)]
-    return Outcome(fit.w[:p], fit.information[:p, :p], *sd, corrected.sandwich.growth)
+    return Outcome(fit.w[:p], fit.information[:p, :p], *sd, corrected.growth)
 
 
 def covers(outcomes):

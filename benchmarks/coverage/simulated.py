@@ -16,7 +16,8 @@ class Predictions:
     def __init__(self, record, data, dt):
         self.record, self.data, self.dt = record, data, dt
         self.count = 0
-        self.coordinates = Coordinates.plain(np.zeros(N_FACTORS + 1, dtype=int), np.zeros(N_FACTORS + 1))
+        none = np.zeros(N_FACTORS + 1, dtype=int)
+        self.coordinates = Coordinates(none, none > 0, 1.0 * none)
 
     def __call__(self, z):
         """The only likelihood, at a point (4,)."""

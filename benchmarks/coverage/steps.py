@@ -7,7 +7,8 @@ from benchmarks.coverage.chain import N_FACTORS, RATES, matrices, moved, record
 from benchmarks.coverage.errors import LEVEL, first_order
 from benchmarks.coverage.simulated import Predictions, start_of
 from benchmarks.tables import table
-from pymc_features.calibration.maxima import climb_likelihood, peak_at
+from pymc_features.calibration.maxima import climb_likelihood
+from pymc_features.calibration.sandwich import Peak
 from pymc_features.calibration.stretched import curved
 from pymc_features.study.paper import MULTIPLIERS
 
@@ -59,6 +60,6 @@ def widths(data, finest, multiplier):
     some = np.ascontiguousarray(data[:, ::stride])
     predictions = Predictions(record(RATE), some, dt)
     fit = climb_likelihood(predictions, start_of(record(RATE), some, dt))
-    peak, _ = curved(predictions, peak_at(fit))
-    matrices = peak.sandwich.claims, peak.sandwich.covariance
+    peak, _ = curved(predictions, Peak.at(fit))
+    matrices = peak.claims, peak.covariance
     return [np.sqrt(np.diag(m)[:N_FACTORS]).mean() for m in matrices]

@@ -94,7 +94,7 @@ def covariance_of_tn(predictions, rate):
     """Of springs and damping, under TN and errors of the level used, by the sensitivities at the truth."""
     size, n = LEVEL * np.sqrt(np.mean(true_response(rate) ** 2)), N_FACTORS + 1
     z = unconstrained(np.ones(n), size)
-    event = events_at(predictions, z, np.full(len(z), 1e-4), predictions(z))[0]
+    event = events_at(predictions, predictions.coordinates, z, np.full(len(z), 1e-4), predictions(z))[0]
     precision = event.information[:n, :n] / true_response(rate).shape[1]
     return np.linalg.inv(precision + np.eye(n) / PRIOR_WIDTH**2)
 

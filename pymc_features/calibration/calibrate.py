@@ -8,35 +8,19 @@ import pymc as pm
 import xarray as xr
 from pymc.util import RandomState
 from pytensor.graph.basic import Constant
+from scipy.special import logsumexp, softmax
 
-from pymc_features._checks import (
-    check_choice,
-    check_flag,
-    check_group,
-    check_integer,
-    check_model,
-    check_positive,
-    check_seed,
-    warn_caller,
-)
-from pymc_features.calibration.maxima import (
-    Peak,
-    best_fit,
-    climb_likelihood,
-    distinct_peaks,
-    peak_at,
-    some_draws,
-    starting_points,
-)
-from pymc_features.calibration.residuals import Event, Predictions
-from pymc_features.calibration.sandwich import directions, known, sandwich, sentence, whitening
+from pymc_features._checks import check_choice, check_model, check_positive, check_seed, warn_caller
+from pymc_features.calibration.maxima import best_fit, climb_likelihood, distinct_peaks
+from pymc_features.calibration.residuals import Fit, Predictions
+from pymc_features.calibration.sandwich import TINY, Peak, directions, known, sentence, whitening
 from pymc_features.calibration.stretched import Stretched, StretchedSMC, bell, curved, prior_and_likelihood
 from pymc_features.exceptions import CalibrationWarning, SamplingWarning
-from pymc_features.inference.parameters import coordinate_names, posterior_for, to_unconstrained
+from pymc_features.inference.parameters import coordinate_names, posterior_for, some_draws, to_unconstrained
 from pymc_features.inference.sample import Search, journal_in, sample_from
 from pymc_features.likelihoods.declaration import warn_about_variance
 from pymc_features.likelihoods.mean_square import GammaFeatureRV, RequireDegrees
-from pymc_features.smc import open_workers
+from pymc_features.smc import check_run, open_workers
 from pymc_features.smc.proposals.mixture import equal_draws, pareto_smoothed
 
 # mean square of standard deviations from the maximum that is far, and the share of draws that makes a warning
@@ -49,7 +33,6 @@ WANTED = 2.0  # standard deviations beyond a bound that make a warning
 KEPT = 100  # draws at a time of which a checkpoint keeps the likelihood
 SHORT = 5.0  # time constants of the errors that a record must be long
 FIRST = 2.0  # degrees of freedom of the first fit of `calibration.fill_degrees`: those of EXP
-TINY = np.finfo(float).tiny
 
 
 def calibrate(
@@ -68,9 +51,8 @@ def calibrate(
 
     The likelihood is raised to the power, and stretched around its maximum by the matrix, that give it the
     curvature A B^-1 A, where B is the covariance of the score that the residuals support
-    (`effective_samples`). With the prior as it is, the posterior is sampled again. The maximum does not move,
-    the prior's bounds and information keep their meaning, and any likelihood of the response leads to nearly
-    the same interval.
+    (`effective_samples`), and the posterior is sampled again. The maximum does not move, the prior's bounds
+    and information keep their meaning, and any likelihood leads to nearly the same interval.
 
     Parameters
     ----------
@@ -90,21 +72,19 @@ def calibrate(
         parameters, at most by 2, where the model has natural frequencies; None does not.
     base_noise : float, optional
         Standard deviation of white noise on the record of the base [m/s^2], where it is known: intervals are
-        as wide at least as it makes them. Frequency bands, which disagree under such noise, are not compared
-        then.
+        as wide at least as it makes them, and frequency bands, which disagree then, are not compared.
     **settings
         Of `sample`. A `checkpoint` keeps all predictions.
 
     Returns
     -------
     DataTree
-        As from `sample`, of the calibrated posterior; `sample_stats` has the attribute `power`, and the group
-        `calibration` is what `effective_samples` returns, with the share of `leverage` in each standard
-        deviation: what the fit took out of the residuals. The attribute `calibration` is a table, in JSON,
-        of growth, parameters near a bound and leverage. With several modes that group has them as a
-        dimension, with their `weight`, and `sample_stats` says of which `mode` a draw is; its other numbers
-        are those of the heaviest. The evidence is that of the stretched likelihood, and must not be compared
-        with others.
+        As from `sample`; `sample_stats` has the attribute `power`, and the group `calibration` is what
+        `effective_samples` returns, with the share of `leverage` in each standard deviation: what the fit
+        took out of the residuals. The attribute `calibration` is a table, in JSON, of growth, parameters near
+        a bound and leverage. With several modes that group has them as a dimension, with their `weight`, and
+        `sample_stats` says of which `mode` a draw is; its other numbers are those of the heaviest. The
+        evidence is that of the stretched likelihood, and must not be compared with others.
 
     Raises
     ------
@@ -123,54 +103,49 @@ def calibrate(
     maximum, weighed by the likelihood itself: one prediction for each draw. Where weights are uneven, or more
     than 15 parameters change the response, the likelihood is sampled as by `sample`.
 
-    Modes that lie more than some standard deviations apart are calibrated each by itself. Each has the
-    evidence of its stretched likelihood, but the ratio of the maxima is raised to the power of the highest,
-    which decides how much one mode is likelier than another. A bias of the model, the same in every record,
-    is not seen in residuals.
+    Modes that lie more than three standard deviations apart are calibrated each by itself. Each has the
+    evidence of its stretched likelihood, with the ratio of the maxima raised to the power of the highest.
 
     References
     ----------
     Ribatet, Cooley & Davison, Stat. Sin. 22, 2012; Shaby, Bayesian Anal. 9, 2014.
     """
-    for name, value, least in (("draws", draws, 2), ("chains", chains, 1)):
-        if value is not None:
-            check_integer(value, name, least=least)
     check_seed(random_seed)
-    check_flag(progressbar, "progressbar")
     if model_error is not None:
         check_choice(model_error, "model_error", ["bands"], "Or pass None.")
     model = check_model(model)
     if base_noise is not None:
         base_noise, model_error = check_positive(base_noise, "base_noise", "Pass m/s^2."), None
     posterior = posterior_for(model, idata, "idata")
+    draws = posterior.sizes["draw"] if draws is None else draws
+    chains = posterior.sizes["chain"] if chains is None else chains
+    check_run(draws, chains, settings.get("cores"), random_seed, progressbar)
+    settings |= {"draws": draws, "chains": chains, "random_seed": random_seed, "progressbar": progressbar}
     rng = np.random.default_rng(np.random.SeedSequence(random_seed).spawn(1)[0])
-    settings |= {
-        "draws": draws or posterior.sizes["draw"],
-        "chains": chains or posterior.sizes["chain"],
-        "random_seed": random_seed,
-        "progressbar": progressbar,
-    }
     predictions = Predictions(model)
     peaks = distinct_peaks(predictions, idata, model_error, rng)
     near = np.any([peak.near_bounds() for peak in peaks], axis=0)
-    peaks = [peak_at(peak.fit.measured_from_bounds(near), model_error) for peak in peaks]
+    peaks = [Peak.at(peak.fit.measured_from_bounds(near), model_error) for peak in peaks]
     peaks, expansions = map(list, zip(*(curved(predictions, peak) for peak in peaks), strict=True))
     if base_noise is not None:
         peaks = [peak.with_base_noise(predictions, base_noise) for peak in peaks]
-    compiled = settings.get("compile_kwargs") or {}
-    prior, likelihood = prior_and_likelihood(model, predictions.space.point, compiled)
+    prior, likelihood = prior_and_likelihood(predictions, settings.get("compile_kwargs") or {})
     parts = []
     with open_workers(settings.pop("executor", None)) as workers:
         if workers is not None:
             likelihood, settings["cores"] = workers.run().of(likelihood), 1
         for i, (peak, expansion) in enumerate(zip(peaks, expansions, strict=True)):
-            found = described(predictions, peak).assign(leverage=("parameter", leverage(peak)))
+            found = described(predictions, peak)
+            plain = peak._replace(errors=Peak.at(peak.fit, None, leverage=False).errors)
+            found["leverage"] = "parameter", 1.0 - plain.deviations / peak.deviations
             warn_beyond(found)
-            target = Stretched.around(prior, likelihood, peak, peaks[:i] + peaks[i + 1 :])
+            of_peak = peak, peaks[:i] + peaks[i + 1 :]
+            target, guess = (Stretched(prior, one, *of_peak) for one in (likelihood, expansion))
             search = Search(bell(model, peak, rng), 0, 0, "the maximum was known")
-            sampled = calibrated_mode(predictions, target, expansion, search, i, settings, rng)
+            sampled = calibrated_mode(predictions, target, guess, search, i, settings, rng)
+            sampled["sample_stats"].attrs["power"] = target.power
             sampled["calibration"] = xr.DataTree(found)
-            check_draws(predictions, sampled["posterior"].to_dataset(), peak)
+            check_draws(predictions, sampled["posterior"], peak)
             parts.append(sampled)
     calibrated = pooled(parts, peaks, rng)
     calibrated.attrs["calibration"] = json.dumps(table(calibrated["calibration"].to_dataset()))
@@ -182,56 +157,45 @@ def calibrate(
     return calibrated
 
 
-def calibrated_mode(predictions, target: Stretched, expansion, found, number, settings, rng) -> xr.DataTree:
-    """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own.
-
-    The first draws are those `found`; a checkpoint keeps the likelihood in a file of this `number`.
-    """
-    model, space, idata = predictions.model, predictions.space, None
+def calibrated_mode(predictions, target: Stretched, guess, found, number, settings, rng) -> xr.DataTree:
+    """The posterior around a maximum: draws by the expansion of its likelihood, weighed, or else its own."""
+    model, space = predictions.model, predictions.space
     settings = settings | {"kernel": StretchedSMC}
-    if expansion is not None:
-        guess = target._replace(likelihood=expansion)
+    if guess.likelihood is not None:
         cheap = {"stage_draws": STAGE_DRAWS} | settings | {"checkpoint": None, "cores": 1, "logp": guess}
         idata = sample_from(found, model, space, **cheap)
         journal = journal_in(settings.get("checkpoint"), f"calibrated_{number}", model)
         with contextlib.closing(journal) if journal else contextlib.nullcontext():
-            idata = weighed(model, idata, guess, target, journal, rng)
-    if idata is None:
-        idata = sample_from(found, model, space, **settings, logp=target)
-    idata["sample_stats"].attrs["power"] = target.power
-    return idata
+            if weighed(model, idata, guess, target, journal, rng):
+                return idata
+    return sample_from(found, model, space, **settings, logp=target)
 
 
-def weighed(model, idata, guess: Stretched, target: Stretched, journal, rng) -> xr.DataTree | None:
-    """A posterior by a guess of the likelihood as that by the likelihood; None where they are not near."""
+def weighed(model, idata, guess: Stretched, target: Stretched, journal, rng) -> bool:
+    """Make a posterior by a guess of the likelihood that by the likelihood, if they are near."""
     z = to_unconstrained(model, idata["posterior"].to_dataset())
     flat = z.reshape(-1, z.shape[-1])
-    if journal is None:
-        _, *values = target(flat)
-    else:
-        parts = [journal.evaluate(target, x) for x in np.array_split(flat, -(-len(flat) // KEPT))]
-        _, *values = map(np.concatenate, zip(*parts, strict=True))
+    some = np.array_split(flat, -(-len(flat) // KEPT) if journal else 1)
+    parts = [journal.evaluate(target, x) if journal else target(x) for x in some]
+    _, *values = map(np.concatenate, zip(*parts, strict=True))
     value, failed, guessed = (np.reshape(x, z.shape[:2]) for x in (*values, guess(flat)[1]))
-    logs = value - guessed
-    if not (logs.max(axis=1) > -np.inf).all():
-        return None
-    logs = np.array([pareto_smoothed(x) for x in logs])
-    weights = np.exp(logs - logs.max(axis=1, keepdims=True))
-    mean = weights.mean(axis=1)
-    worth = mean**2 / np.mean(weights**2, axis=1)
+    logs = np.array([pareto_smoothed(x) for x in value - guessed])
+    with np.errstate(invalid="ignore"):  # where no draw is possible
+        weights = softmax(logs, axis=1)
+    worth = 1.0 / np.mean(weights**2, axis=1) / weights.shape[1] ** 2
     if not worth.min() > WORTH:
-        return None
-    place = [equal_draws(x / x.sum(), len(x), rng) for x in weights]
+        return False
+    place = [equal_draws(x, len(x), rng) for x in weights]
     idata["posterior"] = chosen(idata["posterior"].to_dataset(), np.sort(place, axis=1))
     stats, first = idata["sample_stats"].to_dataset(), idata["sample_stats"]["stage"] == 0
-    evidences = stats["log_marginal_likelihood"] + logs.max(axis=1) + np.log(mean)
+    evidences = stats["log_marginal_likelihood"] + logsumexp(logs, axis=1) - np.log(weights.shape[1])
     counts = {"evaluations": value.shape[1], "failed": failed.sum(axis=1)[:, None]}
     counts = {name: (0.0 * stats[name]).where(~first, count) for name, count in counts.items()}
     stats = stats.assign(log_marginal_likelihood=evidences, ess=stats["ess"] * worth, **counts)
-    log_evidence = np.logaddexp.reduce(evidences.values) - np.log(len(evidences))
+    log_evidence = logsumexp(evidences.values) - np.log(len(evidences))
     stats.attrs |= {"log_evidence": float(log_evidence), "ess": float(stats["ess"].sum())}
     idata["sample_stats"] = xr.DataTree(stats)
-    return idata
+    return True
 
 
 def pooled(parts: list[xr.DataTree], peaks: list[Peak], rng) -> xr.DataTree:
@@ -245,8 +209,7 @@ def pooled(parts: list[xr.DataTree], peaks: list[Peak], rng) -> xr.DataTree:
     heights = np.array([peak.fit.height for peak in peaks])
     powers = np.array([one["power"] for one in stats])
     logs = [one["log_evidence"] for one in stats] + (powers[heights.argmax()] - powers) * heights
-    weights = np.exp(logs - logs.max())
-    weights /= weights.sum()
+    weights = softmax(logs)
     posteriors = [part["posterior"].to_dataset() for part in parts]
     n_chains, n_draws = (posteriors[0].sizes[dim] for dim in ("chain", "draw"))
     mode = np.stack([equal_draws(weights, n_draws, rng) for _ in range(n_chains)])
@@ -287,8 +250,7 @@ def warn_beyond(found):
 def check_draws(predictions, posterior, peak: Peak):
     """Warn if many draws are far from the maximum, and refuse those that do not explain the data."""
     draws = some_draws(predictions.model, posterior, LOOKED_AT)
-    n_directions = whitening(peak.sandwich.information).shape[1]
-    away = np.mean(peak.distance(draws) ** 2 > FAR * n_directions)
+    away = np.mean(peak.distance(draws) ** 2 > FAR * whitening(peak.information).shape[1])
     if away > MANY:
         warn_caller(
             f"{100 * away:.0f} % of the calibrated draws are far from the likelihood's maximum: the "
@@ -296,22 +258,15 @@ def check_draws(predictions, posterior, peak: Peak):
             "no width. Use a longer record, several events in one model, or priors that agree with the data.",
             CalibrationWarning,
         )
-    values = [predictions(z) for z in draws[:: max(1, len(draws) // CHECKED)]]
-    squares = [sum(np.sum(v.residuals**2) for v in x) / sum(v.claimed.sum() for v in x) for x in values]
-    wide = 1.0 + np.trace(peak.sandwich.claims @ peak.sandwich.variability) / peak.fit.squares
+    fits = [peak.fit._replace(events=predictions(z)) for z in draws[:: max(1, len(draws) // CHECKED)]]
+    squares = [fit.squares / fit.claimed for fit in fits]
+    wide = 1.0 + np.trace(peak.claims @ peak.variability) / peak.fit.squares
     if np.median(squares) > UNEXPLAINED**2 * wide:
         raise ValueError(
             "the calibrated draws must explain the data, got residuals "
             f"{np.median(squares) ** 0.5:.3g} times as large as their own sigma. The priors exclude what the "
             "data want: widen them, or give sigma a wider prior."
         )
-
-
-def leverage(peak: Peak) -> np.ndarray:
-    """Share (d,) of the standard deviations that comes from what the fit took out of the residuals."""
-    without = sandwich(peak.fit.events, None, leverage=False).variability * peak.sandwich.factor**2
-    plain = peak._replace(sandwich=peak.sandwich._replace(variability=without))
-    return 1.0 - plain.deviations / peak.deviations
 
 
 def table(found: xr.Dataset) -> dict:
@@ -332,8 +287,7 @@ def effective_samples(
     as the likelihood claims (A) if the errors were what it takes them for. How much it does vary (B) is
     estimated from the residuals, over time and across sensors (``pymc_features.calibration.sandwich``). In a
     direction v of the parameters the residuals support m v' A^-1 v / v' A^-1 B A^-1 v independent
-    observations, where the likelihood claims m: all samples under NORM, two for each sensor under EXP, one
-    under TN.
+    observations, where the likelihood claims m: all under NORM, 2 of a sensor under EXP, 1 under TN.
 
     Parameters
     ----------
@@ -384,24 +338,20 @@ def effective_samples(
     Godambe, Ann. Math. Stat. 31, 1960; Andrews & Monahan, Econometrica 60, 1992.
     """
     check_seed(random_seed)
-    starts = None
-    if isinstance(source, pm.Model):
-        model = check_model(source)
-    else:
-        check_group(source, "source", "posterior", "Or pass a model, for a fit without draws.")
-        model = check_model(model)
-        starts = starting_points(model, source, "source")
+    model = check_model(source if isinstance(source, pm.Model) else model)
+    idata = None if source is model else source
+    if idata is not None:
+        posterior_for(model, idata, "source", "Or pass a model, for a fit without draws.")
     predictions = Predictions(model)
-    return described(predictions, peak_at(best_fit(predictions, starts, np.random.default_rng(random_seed))))
+    return described(predictions, Peak.at(best_fit(predictions, idata, np.random.default_rng(random_seed))))
 
 
 def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = None) -> xr.Dataset:
     """Take the degrees of freedom m of each ``GammaFeature(..., m="residuals")`` from the residuals.
 
-    The likelihood is maximised with m = 2; the observations that the residuals of each sensor support, as
-    `effective_samples` counts them, become its m, and a second fit from there gives those that stay. A
-    sensor whose response no parameter changes gets the mean of the others. Repeat it after `pm.set_data`
-    with other data.
+    The likelihood is maximised with m = 2; the observations that the residuals of each sensor support become
+    its m, and a second fit from there gives those that stay. A sensor whose response no parameter changes
+    gets the mean of the others. Repeat it after `pm.set_data` with other data.
 
     Parameters
     ----------
@@ -440,9 +390,8 @@ def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = Non
     """
     check_seed(random_seed)
     model = check_model(model)
-    ms = {
-        rv: rv.owner.inputs[-1].owner for rv in model.observed_RVs if isinstance(rv.owner.op, GammaFeatureRV)
-    }
+    features = [rv for rv in model.observed_RVs if isinstance(rv.owner.op, GammaFeatureRV)]
+    ms = {rv: rv.owner.inputs[-1].owner for rv in features}
     waiting = {rv: m.inputs[0] for rv, m in ms.items() if m and isinstance(m.op, RequireDegrees)}
     if not waiting:
         names = ", ".join(rv.name for rv in model.observed_RVs) or "no likelihood"
@@ -450,128 +399,98 @@ def fill_degrees(model: pm.Model | None = None, *, random_seed: int | None = Non
             f"`model` must have a GammaFeature with m='residuals', got {names}. Declare it so, or use "
             "effective_samples()."
         )
-    before = [data.get_value() for data in waiting.values()]
-    for data in waiting.values():
-        data.set_value(np.full(data.get_value().shape, FIRST))
-    try:
+    with contextlib.ExitStack() as undo:
+        for data in waiting.values():
+            undo.callback(data.set_value, data.get_value())
+            data.set_value(np.full(data.get_value().shape, FIRST))
         predictions = Predictions(model)
         fit = best_fit(predictions, None, np.random.default_rng(random_seed))
         fill(waiting, fit)
         fit = climb_likelihood(predictions, fit.z)
         fill(waiting, fit)
-    except Exception:
-        for data, m in zip(waiting.values(), before, strict=True):
-            data.set_value(m)
-        raise
+        undo.pop_all()
     for rv, data in waiting.items():
         sigma = rv.owner.inputs[3]
         if not isinstance(sigma, Constant):
             warn_about_variance("GammaFeature", data.get_value().ravel(), sigma)
-    return described(predictions, peak_at(fit))
+    return described(predictions, Peak.at(fit))
 
 
 def fill(waiting, fit):
     """Set degrees of freedom to the observations that the residuals of a fit support."""
-    events = {event.value.name: event for event in fit.events}
+    events = {event.name: event for event in fit.events}
     for rv, data in waiting.items():
         counted = sensors_n_eff(events[rv.name])
         if np.isnan(counted).all():
             raise ValueError(f"`model` must have parameters that change the response of {rv.name}, got none.")
-        counted = np.where(np.isnan(counted), np.nanmean(counted), counted)
-        data.set_value(counted.reshape(data.get_value().shape))
+        data.set_value(np.nan_to_num(counted, nan=np.nanmean(counted)).reshape(data.get_value().shape))
 
 
-def sensors_n_eff(event: Event) -> np.ndarray:
+def sensors_n_eff(event) -> np.ndarray:
     """Observations that residuals support (sensor,); NaN where no parameter changes the response."""
     counted = np.full(len(event.residuals), np.nan)
     for j in range(len(counted)):
         alone = event.of_sensor(j)
         if alone.of_response.any():
-            values, _ = directions(alone.of_response, sandwich([alone]).variability)
+            values, _ = directions(alone.of_response, Peak.at(Fit(None, None, [alone])).errors)
             counted[j] = (alone.residuals**2).sum() / np.exp(np.mean(np.log(values.clip(min=TINY))))
     return counted
 
 
 def described(predictions, peak: Peak) -> xr.Dataset:
     """The Dataset of `effective_samples`."""
-    fit, result = peak
+    fit, (sides, near, origin) = peak.fit, peak.fit.coordinates
     of_response = sum(event.of_response for event in fit.events)
-    if not known(of_response).size:
+    if not known(of_response).any():
         raise ValueError("`model` must have parameters that change the response, got none.")
-    warn_of_short_records(fit, result)
-    values, vectors = directions(of_response, result.of_response)
+    warn_of_short_records(peak)
+    errors = peak.factor**2 * sum(model.variability for model in peak.models)
+    values, vectors = directions(of_response, errors)
     n_direction = fit.squares / values[::-1].clip(min=TINY)
-    along = vectors.T[::-1] / np.linalg.norm(vectors.T[::-1], axis=1, keepdims=True)
-    of_bounds, units = own_scale(predictions, peak)
-    square, every = np.outer(units, units), np.arange(len(units))
-    told = np.where(np.isin(every, known(result.information)), 1.0, np.nan)
-    claims, covariance = (m * square * np.outer(told, told) for m in (result.claims, result.covariance))
-    of_sensors = [
-        {
-            "n_eff": sensors_n_eff(event),
-            "claimed": event.value.claimed,
-            "time_constant": np.full(len(event.residuals), event.value.step * model.memory),
-            "follows_response": model.follows_response,
-        }
-        for event, model in zip(fit.events, result.models, strict=True)
-    ]
-    variables = {
-        "sensor": {name: np.concatenate([one[name] for one in of_sensors]) for name in of_sensors[0]},
-        "parameter": {
-            "n_eff_parameter": fit.claimed * np.diag(claims) / np.diag(covariance),
-            "standard_deviation": np.sqrt(np.diag(covariance)),
-            "claimed_standard_deviation": np.sqrt(np.diag(claims)),
-            "changes_response": np.isin(every, known(of_response)),
-            **of_bounds,
-        },
-        ("parameter", "parameter_"): {
-            "information": result.information / square,
-            "variability": result.variability / square,
-            "covariance": covariance,
-        },
-        "direction": {"n_eff_direction": n_direction},
-        ("direction", "parameter"): {"direction_vector": along},
-    }
-    names = coordinate_names(predictions.model, predictions.space)
-    sensors = [f"{e.value.name}[{j}]" for e in fit.events for j in range(len(e.residuals))]
-    return xr.Dataset(
-        {name: (dims, x) for dims, some in variables.items() for name, x in some.items()},
-        {"parameter": names, "parameter_": names, "sensor": sensors},
-        {
-            "n_eff": float(np.exp(np.mean(np.log(n_direction)))),
-            "claimed": fit.claimed,
-            "n_evaluations": fit.n_evaluations,
-            "growth": result.growth,
-        },
-    )
-
-
-def own_scale(predictions, peak: Peak) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """What is said of parameters (d,) near a bound, on their own scale, and units of coordinates there."""
-    sides, near, origin = peak.fit.coordinates
-    low, high = predictions.bounds(predictions.space.split(peak.fit.z))
-    first = np.where(np.isfinite(low), low, high)  # the lower bound, or the only one
+    # parameters near a bound on their own scale: the lower bound, or the only one, and the unit from there
+    low, high = predictions.bounds(predictions.space.split(fit.z))
+    first = np.where(np.isfinite(low), low, high)
     one = np.exp(np.where(sides == 1, origin, 0.0)) * np.where(first == low, 1.0, -1.0)
     units = np.where(near, np.where(sides == 2, high - low, one), 1.0)
     to_first, to_last = peak.rooms
-    found = {
-        "point": np.where(near, first + units * peak.fit.w, peak.fit.w),
-        "near_bound": near,
-        "bound": np.where(near, np.where(to_first < to_last, first, high), np.nan),
-        "room": np.where(near, np.minimum(to_first, to_last), np.nan),
+    square, told = np.outer(units, units), np.where(known(peak.information), units, np.nan)
+    claims, covariance = (m * np.outer(told, told) for m in (peak.claims, peak.covariance))
+    names = coordinate_names(predictions.model, predictions.space)
+    memory = [event.step * m.memory for event, m in zip(fit.events, peak.models, strict=True)]
+    over, of = ("parameter", "parameter_"), "parameter"
+    variables = {
+        "n_eff": ("sensor", np.concatenate([sensors_n_eff(event) for event in fit.events])),
+        "claimed": ("sensor", np.concatenate([event.claimed for event in fit.events])),
+        "time_constant": ("sensor", np.repeat(memory, [len(event.residuals) for event in fit.events])),
+        "follows_response": ("sensor", np.concatenate([m.follows_response for m in peak.models])),
+        "n_eff_parameter": (of, fit.claimed * np.diag(claims) / np.diag(covariance)),
+        "standard_deviation": (of, np.sqrt(np.diag(covariance))),
+        "claimed_standard_deviation": (of, np.sqrt(np.diag(claims))),
+        "changes_response": (of, known(of_response)),
+        "point": (of, np.where(near, first + units * fit.w, fit.w)),
+        "near_bound": (of, near),
+        "bound": (of, np.where(near, np.where(to_first < to_last, first, high), np.nan)),
+        "room": (of, np.where(near, np.minimum(to_first, to_last), np.nan)),
+        "information": (over, peak.information / square),
+        "variability": (over, peak.variability / square),
+        "covariance": (over, covariance),
+        "n_eff_direction": ("direction", n_direction),
+        "direction_vector": (("direction", of), (vectors / np.linalg.norm(vectors, axis=0)).T[::-1]),
     }
-    return found, units
+    sensors = [f"{event.name}[{j}]" for event in fit.events for j in range(len(event.residuals))]
+    n_eff, growth = float(np.exp(np.mean(np.log(n_direction)))), peak.growth
+    attrs = {"n_eff": n_eff, "claimed": fit.claimed, "n_evaluations": fit.n_evaluations, "growth": growth}
+    return xr.Dataset(variables, {"parameter": names, "parameter_": names, "sensor": sensors}, attrs)
 
 
-def warn_of_short_records(fit, result):
+def warn_of_short_records(peak: Peak):
     """Warn of records that are too short to tell how their errors vary."""
-    for event, model in zip(fit.events, result.models, strict=True):
+    for event, model in zip(peak.fit.events, peak.models, strict=True):
         n = event.residuals.shape[1]
         if SHORT * model.memory > n:
-            _, step, name = event.value[4:]
-            step, unit = (1, "samples") if np.isnan(step) else (step, "s")
+            step, unit = (1, "samples") if np.isnan(event.step) else (event.step, "s")
             warn_caller(
-                f"the errors of {name} persist for {model.memory * step:.3g} {unit} of a record of "
+                f"the errors of {event.name} persist for {model.memory * step:.3g} {unit} of a record of "
                 f"{n * step:.3g} {unit}, too short to tell how they vary: intervals may be too narrow. Use "
                 "a longer record, or several events.",
                 CalibrationWarning,

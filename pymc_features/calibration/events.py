@@ -7,7 +7,7 @@ import xarray as xr
 from scipy.optimize import brentq
 from scipy.stats import chi2, t
 
-from pymc_features._checks import check_finite, check_group, check_share, check_texts
+from pymc_features._checks import check_finite, check_group, check_share, check_texts, message
 
 IMPROBABLE = 0.05  # p-value below which events are said to disagree
 FEWEST_DRAWS = 20
@@ -21,16 +21,15 @@ def event_check(
 ) -> xr.Dataset:
     """Compare the posteriors that several events give of the same parameters.
 
-    Residuals do not show an error that is the same all along a record: it leads each event to another value.
-    With posterior means x_e and variances v_e of E events,
+    An error that is the same all along a record leads each event to another value. With posterior means x_e
+    and variances v_e of E events,
 
         Q = sum_e (x_e - m)^2 / v_e,    m = sum_e (x_e / v_e) / sum_e (1 / v_e),
 
     is chi-square with E - 1 degrees of freedom if the intervals are right. By `growth`, the square root of
-    Q / (E - 1) but not below one, all intervals must grow to explain the scatter (Birge's ratio). The
-    interval for the value common to all events weighs them by 1 / (v_e + tau^2), where tau^2 is their scatter
-    (Paule & Mandel), and takes its width from how far they are apart, with Student's t of E - 1 degrees of
-    freedom (Hartung & Knapp).
+    Q / (E - 1) but not below one, all must grow to explain the scatter (Birge's ratio). The interval for the
+    value common to all events weighs them by 1 / (v_e + tau^2), tau^2 their scatter (Paule & Mandel), and its
+    width comes from how far they are apart, with Student's t (Hartung & Knapp).
 
     Parameters
     ----------
@@ -68,9 +67,9 @@ def event_check(
     probability = check_share(probability, "probability", "Use for example 0.9.")
     draws = common_draws(events, var_names)
     names, n = list(draws[0]), len(draws)
-    columns = [np.stack(list(event.values()), axis=1) for event in draws]
-    means = np.stack([x.mean(axis=0) for x in columns])
-    covariances = np.stack([np.cov(x, rowvar=False).reshape(len(names), -1) for x in columns])
+    rows = [np.stack(list(event.values())) for event in draws]
+    means = np.stack([x.mean(axis=1) for x in rows])
+    covariances = np.stack([np.cov(x).reshape(len(names), -1) for x in rows])
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     apart = [between(x, v, probability) for x, v in zip(means.T, variances.T, strict=True)]
     q, degrees = joint_q(means, covariances), len(names) * (n - 1)
@@ -89,12 +88,7 @@ def event_check(
         {"mean": (over, means), "standard_deviation": (over, variances**0.5)}
         | {name: ("parameter", np.array([one[name] for one in apart])) for name in apart[0]},
         {"event": np.arange(n), "parameter": names},
-        {
-            "p_value": p_value,
-            "growth": growth,
-            "compatible": int(p_value >= IMPROBABLE),
-            "message": message,
-        },
+        dict(p_value=p_value, growth=growth, compatible=int(p_value >= IMPROBABLE), message=message),
     )
 
 
@@ -102,25 +96,20 @@ def between(x, v, probability) -> dict:
     """Scatter of means x (event,) with variances v (event,), and the interval of what they have in common."""
     n = len(x)
 
-    def spread(tau2):
+    def weighed(tau2):
+        """Sum of the weights, centre, and Q."""
         w = 1.0 / (v + tau2)
-        return np.sum(w * (x - np.sum(w * x) / w.sum()) ** 2)
+        centre = np.sum(w * x) / w.sum()
+        return w.sum(), centre, np.sum(w * (x - centre) ** 2)
 
-    q, tau2 = spread(0.0), 0.0
+    q, tau2 = weighed(0.0)[-1], 0.0
     if q > n - 1:
-        tau2 = brentq(lambda s: spread(s) - (n - 1), 0.0, n * np.ptp(x) ** 2)
-    w = 1.0 / (v + tau2)
-    centre = np.sum(w * x) / w.sum()
-    half = t.ppf(0.5 + 0.5 * probability, n - 1) * np.sqrt(spread(tau2) / ((n - 1) * w.sum()))
-    return {
-        "q": q,
-        "p_value": chi2.sf(q, n - 1),
-        "growth": max(1.0, np.sqrt(q / (n - 1))),
-        "scatter": np.sqrt(tau2),
-        "centre": centre,
-        "lower": centre - half,
-        "upper": centre + half,
-    }
+        tau2 = brentq(lambda s: weighed(s)[-1] - (n - 1), 0.0, n * np.ptp(x) ** 2)
+    weight, centre, rest = weighed(tau2)
+    half = t.ppf(0.5 + 0.5 * probability, n - 1) * np.sqrt(rest / ((n - 1) * weight))
+    growth, p_value = max(1.0, np.sqrt(q / (n - 1))), chi2.sf(q, n - 1)
+    found = {"q": q, "p_value": p_value, "growth": growth, "scatter": np.sqrt(tau2), "centre": centre}
+    return found | {"lower": centre - half, "upper": centre + half}
 
 
 def joint_q(means, covariances) -> float:
@@ -136,11 +125,9 @@ def common_draws(events, var_names) -> list[dict[str, np.ndarray]]:
     from arviz_base import labels, xarray_var_iter  # slow to import
 
     if isinstance(events, xr.DataTree) or not isinstance(events, Sequence) or len(events) < 2:
-        raise TypeError(
-            "`events` must be a sequence of two or more posteriors, got "
-            f"{len(events) if isinstance(events, Sequence) else type(events).__name__}. Pass for example "
-            "[idata_1, idata_2]."
-        )
+        got = len(events) if isinstance(events, Sequence) else type(events).__name__
+        advice = "Pass for example [idata_1, idata_2]."
+        raise TypeError(message("events", "a sequence of two or more posteriors", got, advice))
     advice, label = "That is event {}. Pass what `sample` returned.", labels.BaseLabeller().make_label_flat
     posteriors = [
         check_group(event, "events", "posterior", advice.format(i), "chain", "draw")
@@ -157,10 +144,10 @@ def common_draws(events, var_names) -> list[dict[str, np.ndarray]]:
         if posterior.sizes["chain"] * posterior.sizes["draw"] < FEWEST_DRAWS:
             raise ValueError(f"`events` must have at least {FEWEST_DRAWS} draws, got fewer in event {i}.")
         some = posterior[list(var_names)].transpose("chain", "draw", ...)
-        scalars = xarray_var_iter(some, skip_dims={"chain", "draw"})
-        draws.append({label(name, at, place): x.ravel() for name, at, place, x in scalars})
-        for name, x in draws[-1].items():
-            check_finite(x, "var_names", f"Those are draws of {name} in event {i}.")
+        draws.append({})
+        for name, at, place, x in xarray_var_iter(some, skip_dims={"chain", "draw"}):
+            check_finite(x, "var_names", f"Those are draws of {label(name, at, place)} in event {i}.")
+            draws[-1][label(name, at, place)] = x.ravel()
     if not draws[0] or any(list(x) != list(draws[0]) for x in draws):
         raise ValueError(
             "`events` must have parameters in common, with one shape, got "
@@ -178,17 +165,13 @@ def tells(event, name) -> bool:
 
 
 def interval(draws, probability=0.9, bound=None) -> tuple[float, float]:
-    """Equal-tailed interval of draws (n,), or, next to a bound, the shortest: an equal-tailed one never
-    contains the bound.
-    """
+    """Equal-tailed interval of draws (n,), or, next to a bound, the shortest."""
     if bound is None:
         return tuple(map(float, np.quantile(draws, [0.5 - 0.5 * probability, 0.5 + 0.5 * probability])))
     x = np.sort(draws)
     n = int(np.ceil(probability * len(x)))
     first = int(np.argmin(x[n - 1 :] - x[: len(x) - n + 1]))
     low, high = x[first], x[first + n - 1]
-    if bound >= high and np.mean((x > high) & (x < bound)) < FEW:
-        high = bound
-    if bound <= low and np.mean((x > bound) & (x < low)) < FEW:
-        low = bound
+    if np.mean((x > min(bound, high)) & (x < max(bound, low))) < FEW:
+        low, high = min(bound, low), max(bound, high)
     return float(low), float(high)

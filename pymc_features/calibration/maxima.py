@@ -1,13 +1,11 @@
 """Maxima of a likelihood with what residuals say of their width: climbs, bounds nearby, several maxima."""
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from pymc_features.calibration.residuals import Fit, events_at, log_likelihood
-from pymc_features.calibration.sandwich import Sandwich, combined, sandwich, stretching
-from pymc_features.inference.parameters import posterior_for, to_unconstrained
+from pymc_features.calibration.sandwich import Peak, of_values, stretching
+from pymc_features.inference.parameters import some_draws, to_unconstrained
 from pymc_features.inference.sample import search
 from pymc_features.smc import population_logp, prior_points
 
@@ -20,146 +18,53 @@ SHORTER = 0.3  # than the step before must one be that is taken with the derivat
 NEAR = 0.1  # of such a standard error: derivatives there are those at the maximum
 LEAST = 0.1  # of the information that the curvature is taken to have where it is less, or negative
 LONGEST, LONGEST_SHARE = 1.0, 0.25  # step of a coordinate, and of one between two bounds
-BESIDE, MUCH = 0.05, 3.0  # share of the distance between bounds; how far on the unconstrained scale
+BESIDE = 3.0  # on the unconstrained scale, from the middle of two bounds: within 5 % of their distance
 SINGULAR = 1e-12  # of the largest relative eigenvalue: directions that change nothing
-BOUNDED = 6.0  # standard deviations from a bound that count
 STARTS = 20  # draws of which the most likely is climbed from
 CLIMBS = 4  # from the draws that are farthest from what has been climbed from or to
 CANDIDATES = 100  # draws that these are chosen from
 DISTINCT = 3.0  # standard deviations, by the residuals, between maxima that are not one
 LIGHTEST = 1e-3  # weight of a mode that is left out
 ROUNDED = 1e-12  # of what a unit change of a parameter does to the response: rounding, no residuals
-REALISATIONS = 200  # of noise on a base
 
 
-class Peak(NamedTuple):
-    """A maximum of the likelihood and its sandwich."""
-
-    fit: Fit
-    sandwich: Sandwich
-
-    @property
-    def free(self) -> np.ndarray:
-        """Coordinates (d,) where the maximum would be without bounds, by one step beyond."""
-        return self.fit.w + self.sandwich.claims @ self.fit.pushing
-
-    @property
-    def deviations(self) -> np.ndarray:
-        """Standard deviations (d,) of coordinates, NaN of what the likelihood does not know."""
-        sd = np.sqrt(np.diag(self.sandwich.covariance))
-        return np.where(sd > 0, sd, np.nan)
-
-    @property
-    def rooms(self) -> np.ndarray:
-        """Standard deviations (2, d) from the bounds of the prior to the maximum without bounds."""
-        rooms, ratio = self.fit.coordinates.rooms(self.fit.z)
-        beyond = self.free - self.fit.w
-        return (rooms / ratio + [beyond, -beyond]) / self.deviations
-
-    def distance(self, z) -> np.ndarray:
-        """Standard deviations (...,) between the maximum and unconstrained points (..., d)."""
-        apart = self.fit.coordinates.of(z) - self.fit.w
-        return np.sqrt(np.einsum("...i,ij,...j->...", apart, self.sandwich.precision, apart))
-
-    def near_bounds(self) -> np.ndarray:
-        """Parameters (d,) whose prior ends so near to the maximum that this may shape the interval.
-
-        Those that no response depends on only where their score pushes them against it.
-        """
-        room = self.rooms.min(axis=0)
-        of_response = np.any([np.any(e.sensitivities, axis=(0, 1)) for e in self.fit.events], axis=0)
-        near = (self.fit.pushing != 0) | (of_response & (room < BOUNDED))
-        return (self.fit.coordinates.sides > 0) & near
-
-    def with_base_noise(self, predictions, sd: float) -> "Peak":
-        """Make the peak at least as wide, in every direction, as white noise on the base does [m/s^2]."""
-        noise, result = of_base_noise(predictions, self.fit, sd), self.sandwich
-        variability = combined(result.variability, noise, lambda ratios: np.maximum(ratios - 1.0, 0.0))
-        return Peak(self.fit, result._replace(variability=variability))
-
-
-def peak_at(fit: Fit, model_error="bands") -> Peak:
-    """A maximum with what the residuals there say."""
-    return Peak(fit, sandwich(fit.events, model_error))
-
-
-def of_base_noise(predictions, fit: Fit, sd: float) -> np.ndarray:
-    """Covariance (d, d) of the score by white noise of a standard deviation [m/s^2] on the base's record.
-
-    By `REALISATIONS` of the noise: good to 5 % of a standard deviation.
-    """
-    rng, scores = np.random.default_rng(0), []
-    for _ in range(REALISATIONS):
-        pairs = zip(predictions.with_noisy_base(fit.z, sd, rng), fit.events, strict=True)
-        off = [np.einsum("stp,st->p", e.sensitivities, v.residuals - e.residuals) for v, e in pairs]
-        scores.append(sum(off))
-    return np.einsum("np,nq->pq", scores, scores) / REALISATIONS
-
-
-def fit_near(predictions, z) -> Fit:
-    """The maximum near a point (d,), if every sensor has residuals there."""
-    fit = climb_likelihood(predictions, z)
-    for event in fit.events:
-        response = (event.sensitivities**2).sum(axis=1).max(axis=-1)
-        silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > ROUNDED**2 * response))
-        if silent.size:
-            raise ValueError(
-                f"the residuals of {event.value.name} must not vanish, got none at sensor {silent[0]}: data "
-                "without noise support no estimate of their errors. Add the measurement noise, or leave out "
-                "the sensor."
-            )
-    return fit
-
-
-def best_fit(predictions, starts, rng) -> Fit:
-    """The maximum near the most likely of some points (n, d); of a model's modes without points."""
+def best_fit(predictions, idata, rng) -> Fit:
+    """The maximum near the likeliest mode or draw of a posterior, or, without one, mode of the model."""
     model = predictions.model
-    if starts is None:
+    if idata is None:
         logp = population_logp(model, predictions.space.point, {})
         found = search(model, logp, 1000, rng, None).reference
         starts = prior_points(model, 10 * STARTS, rng) if found is None else found.peaks
         heights = np.add(*logp(starts)[:2])
     else:
+        starts = some_draws(model, idata["posterior"], STARTS)
+        if "modes" in idata.children and {rv.name for rv in model.free_RVs} <= set(idata["modes"].data_vars):
+            starts = to_unconstrained(model, idata["modes"].to_dataset().expand_dims("chain"))[0]
         heights = [log_likelihood(predictions(z)) for z in starts] if len(starts) > 1 else [0.0]
-    return fit_near(predictions, starts[np.argmax(heights)])
-
-
-def starting_points(model, idata, name: str) -> np.ndarray:
-    """Unconstrained points (n, d) that a posterior offers: its modes where they are known, or some draws."""
-    posterior = posterior_for(model, idata, name)
-    if "modes" in idata.children and {rv.name for rv in model.free_RVs} <= set(idata["modes"].data_vars):
-        return to_unconstrained(model, idata["modes"].to_dataset().expand_dims("chain"))[0]
-    return some_draws(model, posterior)
-
-
-def some_draws(model, posterior, number=STARTS) -> np.ndarray:
-    """Unconstrained draws (n, d) of all chains, evenly spaced."""
-    every = max(1, posterior.sizes["chain"] * posterior.sizes["draw"] // number)
-    some = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
-    return some.reshape(-1, some.shape[-1])
+    return climb_likelihood(predictions, starts[np.argmax(heights)])
 
 
 def distinct_peaks(predictions, idata, model_error, rng) -> list[Peak]:
     """Maxima of the likelihood that draws of a posterior lead to and that may matter, the highest first."""
     model = predictions.model
-    fit = best_fit(predictions, starting_points(model, idata, "idata"), rng)
-    peaks, known = [peak_at(fit, model_error)], [fit.z]
-    draws = some_draws(model, idata["posterior"].to_dataset(), CANDIDATES)
+    fit = best_fit(predictions, idata, rng)
+    peaks, known = [Peak.at(fit, model_error)], [fit.z]
+    draws = some_draws(model, idata["posterior"], CANDIDATES)
     scale = draws.std(axis=0)
     scale[scale == 0.0] = 1.0
     for _ in range(min(CLIMBS, len(draws) - 1)):
         distances = ((draws[:, None] - np.array(known)) / scale) ** 2
         start = draws[distances.sum(axis=2).min(axis=1).argmax()]
-        fit = fit_near(predictions, start)
+        fit = climb_likelihood(predictions, start)
         known += [start, fit.z]
         if all(other.distance(fit.z) > DISTINCT for other in peaks):
-            peak = peak_at(fit, model_error)
+            peak = Peak.at(fit, model_error)
             if all(peak.distance(other.fit.z) > DISTINCT for other in peaks):
                 peaks.append(peak)
     peaks.sort(key=lambda peak: -peak.fit.height)
     # weights by Laplace's approximation under a flat prior, heights by the power of the highest
-    power, _ = stretching(peaks[0].sandwich.information, peaks[0].sandwich.precision)
-    widths = [np.linalg.eigvalsh(peak.sandwich.precision) for peak in peaks]
+    power, _ = stretching(peaks[0].information, peaks[0].precision)
+    widths = [np.linalg.eigvalsh(peak.precision) for peak in peaks]
     volumes = [-0.5 * np.log(x[x > 1e-12 * x.max()]).sum() for x in widths]
     logs = np.array([power * p.fit.height + volume for p, volume in zip(peaks, volumes, strict=True)])
     return [p for p, log in zip(peaks, logs, strict=True) if log > np.max(logs) + np.log(LIGHTEST)]
@@ -171,21 +76,21 @@ def climb_likelihood(predictions, z) -> Fit:
     Derivatives, a prediction or two for each parameter, are kept for as long as steps with them become much
     shorter from one to the next. Where residuals are large their second derivatives count; these are learnt
     from one set of derivatives to the next. A parameter that a step would take out of its prior is from then
-    on measured from the bound, and stays within.
+    on measured from the bound, and stays within. Every sensor must have residuals at the maximum.
     """
     count, here = predictions.count, predictions(z)
     fit = Fit(predictions.coordinates, z, [], log_likelihood(here))
     if fit.height == -np.inf:
         raise ValueError("the fit must start where the likelihood is finite. Pass another `idata`.")
-    events = events_at(predictions, z, np.full(len(z), NARROW), here, fit.coordinates, central=False)
+    events = events_at(predictions, fit.coordinates, z, np.full(len(z), NARROW), here, central=False)
     fit = bounded(fit._replace(events=events), z)
     second, damping, last, central = np.zeros((len(z), len(z))), 1e-6, np.inf, False
     at, before = fit.w, fit.score  # where derivatives were taken
     for _ in range(STEPS):
         information, limits = fit.information, fit.coordinates.limits
         longest = np.where(fit.coordinates.near & (fit.coordinates.sides == 2), LONGEST_SHARE, LONGEST)
-        curvature = combined(information, second, lambda values: np.maximum(values, LEAST - 1.0))
-        step = newton(curvature, fit.score, damping, np.clip(limits - fit.w, -longest, longest))
+        more = of_values(information, second, lambda values: np.maximum(values, LEAST - 1.0))
+        step = newton(information + more, fit.score, damping, np.clip(limits - fit.w, -longest, longest))
         independent = information * sum((~v.gaps).sum() for v in here) / fit.claimed
         length, moved = (np.sqrt(max(0.0, x @ independent @ x)) for x in (step, fit.w - at))
         if length < CONVERGED and central and moved < NEAR:
@@ -195,7 +100,8 @@ def climb_likelihood(predictions, z) -> Fit:
             values = predictions(fit.coordinates.unconstrained(w))
             if (height := log_likelihood(values)) > fit.height:
                 here, damping, last = values, damping / 10.0, length
-                events = [e._replace(value=v) for e, v in zip(fit.events, here, strict=True)]
+                pairs = zip(here, fit.events, strict=True)
+                events = [v._replace(sensitivities=e.sensitivities, of_scale=e.of_scale) for v, e in pairs]
                 fit = fit._replace(w=w, height=height, events=events)
                 continue
             if moved == 0.0:
@@ -206,7 +112,7 @@ def climb_likelihood(predictions, z) -> Fit:
         central = length < NEAR
         scale = np.sqrt(np.diag(independent)).clip(min=np.finfo(float).tiny)
         steps = np.clip(DIFFERENCE / scale, NARROWEST, WIDEST)
-        events = events_at(predictions, fit.w, steps, here, fit.coordinates, central)
+        events = events_at(predictions, fit.coordinates, fit.w, steps, here, central)
         anew = fit._replace(events=events)
         if moved > 0.0:
             second = learnt(second, fit.w - at, fit.score - anew.score, before - anew.score)
@@ -214,21 +120,27 @@ def climb_likelihood(predictions, z) -> Fit:
         if fit is not anew:
             second = np.zeros_like(second)
         at, before, last = fit.w, fit.score, np.inf
+    for event in fit.events:
+        response = (event.sensitivities**2).sum(axis=1).max(axis=-1)
+        silent = np.flatnonzero(~((event.residuals**2).sum(axis=1) > ROUNDED**2 * response))
+        if silent.size:
+            raise ValueError(
+                f"the residuals of {event.name} must not vanish, got none at sensor {silent[0]}: data "
+                "without noise support no estimate of their errors. Add the measurement noise, or leave out "
+                "the sensor."
+            )
     frequencies = predictions.frequencies(fit.z)
     events = [e._replace(frequencies=f) for e, f in zip(fit.events, frequencies, strict=True)]
     return fit._replace(events=events, n_evaluations=predictions.count - count)
 
 
 def bounded(fit: Fit, start) -> Fit:
-    """The fit, with parameters measured from the bound that they are beside and the next step would cross.
-
-    Beside an only bound is what has come much nearer to it since `start` (d,).
-    """
+    """The fit, with parameters measured from the bound that they are beside and the next step would cross."""
     sides, near = fit.coordinates.sides, fit.coordinates.near
-    (low, high), ratio = fit.coordinates.rooms(fit.z)
-    step = ratio * newton(fit.information, fit.score, 0.0, (-np.inf, np.inf))
-    beside = np.where(sides == 2, low < BESIDE, fit.z < start - MUCH)
-    crosses = (sides > 0) & ~near & (beside & (step < -low) | (high < BESIDE) & (step > high))
+    low, high = fit.coordinates.rooms(fit.z)
+    step = newton(fit.information, fit.score, 0.0, (-np.inf, np.inf))
+    beside = fit.z < np.where(sides == 2, 0.0, start) - BESIDE  # an only bound: nearer by so much
+    crosses = (sides > 0) & ~near & (beside & (step < -low) | (fit.z > BESIDE) & (step > high))
     return fit.measured_from_bounds(near | crosses) if crosses.any() else fit
 
 

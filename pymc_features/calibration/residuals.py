@@ -37,7 +37,10 @@ PLAINLY = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}
 
 
 class Comparison(NamedTuple):
-    """One likelihood: tensors that can be broadcast, or arrays at a point, see `by_sensor`."""
+    """One likelihood: tensors that can be broadcast, or arrays at a point, see `by_sensor`.
+
+    There also its derivatives by coordinates w, see `Coordinates`, where they have been taken.
+    """
 
     mu: Any  # prediction (..., time)
     observed: Any  # data (..., time)
@@ -46,6 +49,9 @@ class Comparison(NamedTuple):
     decay: Any = np.inf  # sampling step over correlation time (...,); infinite for independent errors
     step: float = np.nan  # of the samples [s]; NaN if it is not known
     name: str = "y"  # of the random variable
+    sensitivities: Any = None  # S = -dr / dw at constant scale (sensor, time, parameter)
+    of_scale: Any = None  # d ln s / dw (sensor, parameter)
+    frequencies: Any = None  # natural ones [Hz] of the structure behind it; None without one
 
     def by_sensor(self) -> "Comparison":
         """Turn arrays into ones with one axis of sensors."""
@@ -80,6 +86,29 @@ class Comparison(NamedTuple):
     def log_scale(self) -> np.ndarray:
         """ln s (sensor,)."""
         return np.log(self.scale).mean(axis=-1)
+
+    @property
+    def score(self) -> np.ndarray:
+        """Gradient of the log-likelihood (parameter,)."""
+        excess = (self.residuals**2).sum(axis=1) - self.claimed
+        return np.einsum("stp,st->p", self.sensitivities, self.residuals) + excess @ self.of_scale
+
+    @property
+    def of_response(self) -> np.ndarray:
+        """Part of the information (parameter, parameter) that comes from the response: sum S S'."""
+        flat = self.sensitivities.reshape(-1, self.sensitivities.shape[-1])
+        return flat.T @ flat
+
+    @property
+    def information(self) -> np.ndarray:
+        """Minus the Hessian (parameter, parameter), by Gauss and Newton."""
+        squares = (self.residuals**2).sum(axis=1)
+        return self.of_response + 2.0 * (self.of_scale.T * squares) @ self.of_scale
+
+    def of_sensor(self, j) -> "Comparison":
+        """What one sensor alone tells of the response."""
+        some, s = (x[[j]] for x in self[:5]), self.sensitivities[[j]]
+        return Comparison(*some, self.step, self.name, s, 0.0 * self.of_scale[[j]])
 
 
 def log_likelihood(values: list[Comparison]) -> float:
@@ -122,11 +151,7 @@ def comparison_correlated(op, rv, observed):
 
 
 def comparisons(model) -> list[Comparison]:
-    """All likelihoods of a model.
-
-    The step is that of the response as it is now, NaN of what is none. Gaps are refused in what is no feature
-    likelihood, and more of them than leave a spectrum to be seen.
-    """
+    """All likelihoods of a model, with the step of the response as it is now, NaN of what is none."""
     if not model.observed_RVs:
         raise ValueError("`model` must have observed variables, got none.")
     found = []
@@ -164,11 +189,6 @@ class Coordinates(NamedTuple):
     near: np.ndarray  # whether it is measured from a bound (d,)
     origin: np.ndarray  # z (d,) where the distance from an only bound is one: of the model's initial point
 
-    @classmethod
-    def plain(cls, sides, origin) -> "Coordinates":
-        """Unconstrained parameters."""
-        return cls(sides, np.zeros(len(sides), dtype=bool), origin)
-
     def of(self, z) -> np.ndarray:
         """Coordinates of an unconstrained point."""
         one = np.where(self.sides == 1, np.minimum(z - self.origin, LARGEST), 0.0)
@@ -183,11 +203,11 @@ class Coordinates(NamedTuple):
         """Derivatives of the coordinates by z."""
         return np.where(self.near, self.of(z) * np.where(self.sides == 2, expit(-z), 1.0), 1.0)
 
-    def rooms(self, z) -> tuple[np.ndarray, np.ndarray]:
-        """To the lower or only bound and to the upper one (2, d), and their changes over those of w (d,)."""
+    def rooms(self, z) -> np.ndarray:
+        """How far w is from the lower or only bound and from the upper one (2, d), as it changes there."""
         own = self._replace(near=self.sides > 0)
         rooms = np.stack([own.of(z), np.where(self.sides == 2, expit(-z), np.inf)])
-        return rooms, own.slopes(z) / self.slopes(z)
+        return rooms * self.slopes(z) / own.slopes(z)
 
     @property
     def limits(self) -> np.ndarray:
@@ -210,69 +230,12 @@ def bounds_of(model, space):
     return model.compile_fn(bounds, inputs=model.value_vars, **PLAINLY)
 
 
-class Event(NamedTuple):
-    """One likelihood at a point with derivatives by coordinates w, see `Coordinates`."""
-
-    value: Comparison
-    sensitivities: np.ndarray  # S = -dr / dw at constant scale (sensor, time, parameter)
-    of_scale: np.ndarray  # d ln s / dw (sensor, parameter)
-    frequencies: np.ndarray | None = None  # natural ones [Hz] of the structure behind it; None without one
-
-    @property
-    def residuals(self) -> np.ndarray:
-        """r (sensor, time)."""
-        return self.value.residuals
-
-    def whole(self, series):
-        """Series (sensor, time, ...) with what stands in for them in gaps.
-
-        In a gap of any sensor the series of all are taken in reverse order from beside it, half from before
-        and half from behind: errors seen backwards have the same spectrum, amplitude and share in common.
-        """
-        gaps = self.value.gaps.any(axis=0)
-        return series[:, mirrored(gaps)] if gaps.any() else series
-
-    @property
-    def score(self) -> np.ndarray:
-        """Gradient of the log-likelihood (parameter,)."""
-        excess = (self.residuals**2).sum(axis=1) - self.value.claimed
-        return np.einsum("stp,st->p", self.sensitivities, self.residuals) + excess @ self.of_scale
-
-    @property
-    def of_response(self) -> np.ndarray:
-        """Part of the information (parameter, parameter) that comes from the response: sum S S'."""
-        flat = self.sensitivities.reshape(-1, self.sensitivities.shape[-1])
-        return flat.T @ flat
-
-    @property
-    def information(self) -> np.ndarray:
-        """Minus the Hessian (parameter, parameter), by Gauss and Newton."""
-        squares = (self.residuals**2).sum(axis=1)
-        return self.of_response + 2.0 * (self.of_scale.T * squares) @ self.of_scale
-
-    def of_sensor(self, j) -> "Event":
-        """What one sensor alone tells of the response."""
-        value = Comparison(*(x[[j]] for x in self.value[:5]), *self.value[5:])
-        return Event(value, self.sensitivities[[j]], 0.0 * self.of_scale[[j]])
-
-
-def mirrored(gaps) -> np.ndarray:
-    """For each sample (time,) itself or, in a gap, the one that stands in for it: beyond the nearer end."""
-    at, known = np.arange(gaps.size), np.flatnonzero(~gaps)
-    for k in np.flatnonzero(gaps):
-        before, behind = 2 * known[known < k][-1:] + 1 - k, 2 * known[known > k][:1] - 1 - k
-        ends = sorted([*behind, *before], key=lambda end: abs(end - k))
-        inside = [end for end in ends if 0 <= end < gaps.size and not gaps[end]]
-        at[k] = inside[0] if inside else known[np.abs(known - k).argmin()]
-    return at
-
-
 class Fit(NamedTuple):
     """A point, and the likelihoods there; of a climb the maximum within the bounds of the prior."""
 
     coordinates: Coordinates
     w: np.ndarray  # (d,) in these
-    events: list[Event]
+    events: list[Comparison]  # with derivatives
     height: float = np.nan  # log-likelihood, without constants
     n_evaluations: int = 0  # predictions that it took
 
@@ -294,7 +257,7 @@ class Fit(NamedTuple):
     @property
     def claimed(self) -> float:
         """Observations that the likelihoods claim."""
-        return sum(float(event.value.claimed.sum()) for event in self.events)
+        return sum(float(event.claimed.sum()) for event in self.events)
 
     @property
     def squares(self) -> float:
@@ -326,7 +289,7 @@ class Predictions:
         self.model, self.space, self.count = model, Unconstrained(model), 0
         self.comparisons, self.bounds = comparisons(model), bounds_of(model, self.space)
         sides = np.isfinite(self.bounds(self.space.point)).sum(axis=0)
-        self.coordinates = Coordinates.plain(sides, self.space.join(self.space.point))
+        self.coordinates = Coordinates(sides, sides < 0, self.space.join(self.space.point))
         self.function = self.compiled([x for one in self.comparisons for x in one[:5]])
         behind = [frequencies_behind(one.mu) for one in self.comparisons]
         self.modes = [pair and (self.compiled(pair[0], **PLAINLY), pair[1]) for pair in behind]
@@ -356,13 +319,8 @@ class Predictions:
         return [pair and pair[1](pair[0](*point)) for pair in self.modes]
 
 
-def events_at(predictions, w, steps, here, coordinates=None, central=True) -> list[Event]:
-    """Residuals and derivatives at a point (d,), by differences over some steps (d,) to both sides or one.
-
-    `here` are the predictions at the point. Coordinates are unconstrained parameters by default; differences
-    do not leave their limits.
-    """
-    coordinates = coordinates or predictions.coordinates
+def events_at(predictions, coordinates, w, steps, here, central=True) -> list[Comparison]:
+    """Predictions `here`, with derivatives by differences over steps (d,), within limits, at a point (d,)."""
     low, high = coordinates.limits
     up = np.minimum(w + steps, high)
     down = np.where(central | (up == w), np.maximum(w - steps, low), w)
@@ -378,5 +336,5 @@ def events_at(predictions, w, steps, here, coordinates=None, central=True) -> li
             np.stack([getattr(a, name) - getattr(b, name) for a, b in ends], axis=-1) / (up - down)
             for name in ("mu", "log_scale")
         )
-        events.append(Event(value, value.scaled(mu), log_scale))
+        events.append(value._replace(sensitivities=value.scaled(mu), of_scale=log_scale))
     return events

@@ -31,6 +31,8 @@ from scipy.fft import dct, idct, irfft, rfft
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import nnls
 
+from pymc_features.calibration.residuals import Fit
+
 FLAT = 1e-10  # of the largest relative eigenvalue: directions that a likelihood cannot tell
 MOST_BANDS = 5  # the last one holds all frequencies above
 HIGHEST = 0.45  # of the sampling rate: frequencies above divide no bands
@@ -46,6 +48,8 @@ SMOOTHING = 12  # the spectrum of what is left is averaged over this part of the
 SURE = 3.0  # gain of log-likelihood that an amplitude that follows the response must bring
 QUIETEST = 1e-3  # least share of the mean variance
 MOST_TAKEN = 0.9  # of a direction that one line of the spectrum may decide: more is not put back
+BOUNDED = 6.0  # standard deviations from a bound that count
+REALISATIONS = 200  # of noise on a base: good to 5 % of a standard deviation
 TINY = np.finfo(float).tiny
 
 
@@ -64,19 +68,34 @@ class ErrorModel(NamedTuple):
         return self.variabilities.sum(axis=0)
 
 
-class Sandwich(NamedTuple):
-    """How much the likelihood claims to know, and how much its score varies."""
+class Peak(NamedTuple):
+    """A maximum of the likelihood, how much it claims to know there, and how much its score varies."""
 
+    fit: Fit
     information: np.ndarray  # A (d, d), minus the Hessian of the log-likelihood
-    variability: np.ndarray  # B (d, d), covariance of the score; A if the likelihood's assumptions hold
-    models: list[ErrorModel]  # of each event
+    errors: np.ndarray  # B (d, d) before it grows; A if the likelihood's assumptions hold
+    models: list[ErrorModel]  # of each likelihood
     growth: float = np.nan  # by how much the frequency bands disagree; NaN where there are none
-    of_response: np.ndarray | float = np.nan  # the part of B (d, d) that the responses have
+
+    @classmethod
+    def at(cls, fit, model_error="bands", leverage=True) -> "Peak":
+        """What residuals say; `model_error` as of `calibrate`, `leverage` puts back what the fit took."""
+        events, whiten = fit.events, whitening(sum(e.of_response for e in fit.events))
+        back = whiten if leverage else whiten[:, :0]
+        models = [error_model(e.residuals, e.sensitivities, e.mu, e.gaps, edges_of(e), back) for e in events]
+        growth = growth_of(models, whiten.shape[1]) if model_error else np.nan
+        errors = sum(model.variability for model in models) + sum(map(of_scale, events))
+        return cls(fit, fit.information, errors, models, growth)
 
     @property
     def factor(self) -> float:
         """By which the disagreement of bands makes intervals wider."""
         return 1.0 if np.isnan(self.growth) else min(LARGEST, self.growth)
+
+    @property
+    def variability(self) -> np.ndarray:
+        """B (d, d), covariance of the score."""
+        return self.factor**2 * self.errors
 
     @property
     def claims(self) -> np.ndarray:
@@ -92,56 +111,67 @@ class Sandwich(NamedTuple):
     @property
     def precision(self) -> np.ndarray:
         """A B^-1 A (d, d)."""
-        values, vectors = directions(self.information, self.variability)
-        along = self.information @ vectors
-        return (along / values) @ along.T
+        return of_values(self.information, self.variability, np.reciprocal)
 
+    @property
+    def free(self) -> np.ndarray:
+        """Coordinates (d,) where the maximum would be without bounds, by one step beyond."""
+        return self.fit.w + self.claims @ self.fit.pushing
 
-def sandwich(events, model_error="bands", leverage=True) -> Sandwich:
-    """A, by Gauss and Newton, and B of independent events.
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviations (d,) of coordinates, NaN of what the likelihood does not know."""
+        sd = np.sqrt(np.diag(self.covariance))
+        return np.where(sd > 0, sd, np.nan)
 
-    `model_error` "bands" lets the width grow where frequency bands disagree, None does not; `leverage` puts
-    back what the fit took out of the residuals.
-    """
-    whiten = whitening(sum(event.of_response for event in events))
-    models = [
-        error_model(
-            event.whole(event.residuals),
-            event.sensitivities,
-            event.whole(event.value.mu),
-            event.whole(event.sensitivities),
-            edges_of(event),
-            whiten if leverage and whiten.size else None,
-        )
-        for event in events
-    ]
-    growth = growth_of(models, whiten.shape[1]) if model_error else np.nan
-    result = Sandwich(sum(event.information for event in events), 0.0, models, growth)
-    of_response = result.factor**2 * sum(model.variability for model in models)
-    variability = of_response + result.factor**2 * sum(map(of_scale, events))
-    return result._replace(variability=variability, of_response=of_response)
+    @property
+    def rooms(self) -> np.ndarray:
+        """Standard deviations (2, d) from the bounds of the prior to the maximum without bounds."""
+        beyond = self.free - self.fit.w
+        return (self.fit.coordinates.rooms(self.fit.z) + [beyond, -beyond]) / self.deviations
+
+    def distance(self, z) -> np.ndarray:
+        """Standard deviations (...,) between the maximum and unconstrained points (..., d)."""
+        apart = self.fit.coordinates.of(z) - self.fit.w
+        return np.sqrt(np.einsum("...i,ij,...j->...", apart, self.precision, apart))
+
+    def near_bounds(self) -> np.ndarray:
+        """Parameters (d,) whose prior ends so near to the maximum that this may shape the interval.
+
+        Those that no response depends on only where their score pushes them against it.
+        """
+        of_response = np.any([np.any(e.sensitivities, axis=(0, 1)) for e in self.fit.events], axis=0)
+        near = (self.fit.pushing != 0) | (of_response & (self.rooms.min(axis=0) < BOUNDED))
+        return (self.fit.coordinates.sides > 0) & near
+
+    def with_base_noise(self, predictions, sd: float) -> "Peak":
+        """Make the peak at least as wide, in every direction, as white noise on the base does [m/s^2]."""
+        rng, scores = np.random.default_rng(0), []
+        for _ in range(REALISATIONS):
+            pairs = zip(predictions.with_noisy_base(self.fit.z, sd, rng), self.fit.events, strict=True)
+            off = [np.einsum("stp,st->p", e.sensitivities, v.residuals - e.residuals) for v, e in pairs]
+            scores.append(sum(off))
+        noise = np.einsum("np,nq->pq", scores, scores) / REALISATIONS
+        wider = of_values(self.errors, noise, lambda ratios: np.maximum(ratios - 1.0, 0.0))
+        return self._replace(errors=self.errors + wider)
 
 
 def of_scale(event) -> np.ndarray:
-    """Covariance (d, d) of what the scales add to the score, sum_jk (r_jk^2 - m_j / N) d ln s_j / dz.
-
-    It is a sum over time, so that its covariance is that of N times the mean of a series.
-    """
-    used = np.flatnonzero(np.abs(event.of_scale).sum(axis=0))
+    """Covariance (d, d) of what the scales add to the score, sum_jk (r_jk^2 - m_j / N) d ln s_j / dw."""
+    used = np.flatnonzero(event.of_scale.any(axis=0))
     result, square = np.zeros((event.of_scale.shape[1],) * 2), event.residuals**2
     if used.size:
-        measured = ~event.value.gaps
-        series = event.whole(square) - (square.sum(axis=1) / measured.sum(axis=1))[:, None]
-        whole = np.repeat(event.of_scale[:, None, used], series.shape[1], axis=1)
-        model = error_model(series, measured[..., None] * whole, whole=whole)
-        result[np.ix_(used, used)] = model.variability
+        gaps = event.gaps
+        series = square - (square.sum(axis=1) / (~gaps).sum(axis=1))[:, None]
+        sensitivities = ~gaps[..., None] * event.of_scale[:, None, used]
+        result[np.ix_(used, used)] = error_model(series, sensitivities, gaps=gaps).variability
     return result
 
 
 def known(matrix) -> np.ndarray:
-    """Parameters (d,) that a likelihood depends on."""
+    """Whether a likelihood depends on parameters (d,)."""
     diagonal = np.diag(matrix)
-    return np.flatnonzero(diagonal > FLAT**2 * diagonal.max(initial=0.0))
+    return diagonal > FLAT**2 * diagonal.max(initial=0.0)
 
 
 def whitening(information, flat=FLAT) -> np.ndarray:
@@ -163,18 +193,15 @@ def directions(information, other) -> tuple[np.ndarray, np.ndarray]:
     return values, whiten @ vectors
 
 
-def combined(first, second, share) -> np.ndarray:
-    """First of two matrices (d, d), and of the second what a function of its values (k,) leaves of them."""
+def of_values(first, second, function) -> np.ndarray:
+    """Matrix (d, d) whose values (k,) relative to the first are a function of those of the second."""
     values, vectors = directions(first, second)
     along = first @ vectors
-    return first + (along * share(values)) @ along.T
+    return (along * function(values)) @ along.T
 
 
 def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, np.ndarray]:
-    """Power k and matrix C (d, d) with C' (k A) C = the wanted precision (d, d).
-
-    C has determinant one. It is the unit matrix along directions that the likelihood does not tell.
-    """
+    """Power k and matrix C (d, d), of determinant one, with C' (k A) C = a precision where A tells of any."""
     values, vectors = directions(information, precision)
     power = float(np.exp(np.mean(np.log(values)))) if values.size else 1.0
     along = (vectors * (np.sqrt(values / power) - 1.0)) @ vectors.T
@@ -183,26 +210,24 @@ def stretching(information: np.ndarray, precision: np.ndarray) -> tuple[float, n
 
 def edges_of(event) -> np.ndarray:
     """Frequencies between bands, in cycles per sample."""
-    f = np.sort(np.multiply([] if event.frequencies is None else event.frequencies, event.value.step))
+    f = np.sort(np.multiply([] if event.frequencies is None else event.frequencies, event.step))
     f = f[f < HIGHEST]
     return 0.5 * (f[:-1] + f[1:])[: MOST_BANDS - 1]
 
 
 def growth_of(models, p: int) -> float:
     """The factor, not limited, by the error models of all events and p parameters; NaN without bands."""
-    if all(len(model.scores) == 1 for model in models):
-        return np.nan
+    bands = [band for m in models for band in zip(m.scores, m.variabilities, m.informations, strict=True)]
     left, slopes = [], []
-    largest = np.diag(sum(model.variability for model in models))
+    largest = np.diag(sum(b for _, b, _ in bands))
     scale = np.sqrt(np.where(largest > 0.0, largest, 1.0))
-    for model in models:
-        for u, b, a in zip(model.scores, model.variabilities, model.informations, strict=True):
-            seen = np.diag(b) > FAINT * largest
-            whiten = whitening(b * np.outer(seen, seen), SINGULAR)
-            left.append(whiten.T @ u)
-            slopes.append(whiten.T @ a * (largest > 0.0) / scale)
+    for u, b, a in bands:
+        seen = np.diag(b) > FAINT * largest
+        whiten = whitening(b * np.outer(seen, seen), SINGULAR)
+        left.append(whiten.T @ u)
+        slopes.append(whiten.T @ a * (largest > 0.0) / scale)
     left, slopes = np.concatenate(left), np.concatenate(slopes)
-    if len(left) <= p:
+    if len(bands) == len(models) or len(left) <= p:
         return np.nan
     left = left - slopes @ np.linalg.lstsq(slopes, left, rcond=SINGULAR)[0]
     return float(np.sqrt(max(1.0, left @ left / (len(left) - p))))
@@ -220,19 +245,21 @@ def sentence(growth: float) -> str:
     )
 
 
-def error_model(residuals, sensitivities, response=None, whole=None, edges=(), whiten=None) -> ErrorModel:
-    """Estimate B from residuals (sensor, time) and sensitivities (sensor, time, p).
+def error_model(residuals, sensitivities, response=None, gaps=None, edges=(), whiten=None) -> ErrorModel:
+    """Estimate B from residuals (sensor, time) and sensitivities (sensor, time, p), which are zero in gaps.
 
-    `response` (sensor, time) is what the amplitude of the errors may follow; None if there is none. Where the
-    sensitivities are zero in gaps, `whole` is what they are without: gaps must not hide that a score is
-    static. `edges` are frequencies between bands, in cycles per sample. `whiten` W (p, k) with
-    W' (sum S'S) W = 1 over all events lets what the fit took out of the residuals be put back.
+    `response` (sensor, time) is what the amplitude of the errors may follow. `edges` are frequencies between
+    bands, in cycles per sample. `whiten` as of `taken`; None puts nothing back.
     """
-    n_all = residuals.shape[1]
-    both = [sensitivities] if whole is None or whole is sensitivities else [sensitivities, whole]
+    n_all, both = residuals.shape[1], [sensitivities]
+    response = np.zeros_like(residuals) if response is None else response
+    if gaps is not None and gaps.any():
+        at = mirrored(gaps.any(axis=0))
+        residuals, response = residuals[:, at], response[:, at]
+        both.append(sensitivities[:, at])  # gaps must not hide that a score is static
     n = max(samples_of_the_band(residuals, s) for s in both)
     r, s = resampled(residuals, n), resampled(sensitivities, n)
-    amplitude, follows = amplitudes(r, None if response is None else resampled(response, n))
+    amplitude, follows = amplitudes(r, resampled(response, n))
     back = 0.0 if whiten is None else taken(r, s @ whiten * np.sqrt(n_all / n))
     level = np.sqrt(np.mean(amplitude**2, axis=1, keepdims=True))
     r = r / amplitude + back / np.maximum(amplitude, level)
@@ -245,11 +272,19 @@ def error_model(residuals, sensitivities, response=None, whole=None, edges=(), w
     spectrum = rfft(s, 2 * n, axis=1) / whitens.conj()
     changes = rfft(changes, 2 * n, axis=1) * whitens
     starts = np.unique(np.r_[0, np.ceil(2 * n_all * np.asarray(edges)).astype(int).clip(max=n)])
-    ratio = n_all / n
-    scores, variabilities, informations = by_band(white, spectrum, changes, starts)
-    return ErrorModel(
-        scores * ratio, variabilities * ratio**2, informations * ratio, memory(filters) * ratio, follows
-    )
+    (u, b, a), ratio = by_band(white, spectrum, changes, starts), n_all / n
+    return ErrorModel(u * ratio, b * ratio**2, a * ratio, memory(filters) * ratio, follows)
+
+
+def mirrored(gaps) -> np.ndarray:
+    """For each sample (time,) itself or, in a gap, one beyond the nearer end: errors are alike backwards."""
+    at, known = np.arange(gaps.size), np.flatnonzero(~gaps)
+    for k in np.flatnonzero(gaps):
+        before, behind = 2 * known[known < k][-1:] + 1 - k, 2 * known[known > k][:1] - 1 - k
+        ends = sorted([*behind, *before], key=lambda end: abs(end - k))
+        inside = [end for end in ends if 0 <= end < gaps.size and not gaps[end]]
+        at[k] = inside[0] if inside else known[np.abs(known - k).argmin()]
+    return at
 
 
 def taken(residuals, whitened):
@@ -257,9 +292,8 @@ def taken(residuals, whitened):
 
     A few lines of a spectrum decide a parameter near a resonance, and there the fit makes residuals small.
     For each line f, e_f becomes (1 - H_ff)^-1 e_f with H = S (sum S'S)^-1 S', the residual that a fit without
-    the line would leave (CR3; Bell & McCaffrey, Surv. Methodol. 28, 2002).
-
-    `whitened` (sensor, time, k) are the sensitivities times W, with W' (sum S'S) W = 1 over all events.
+    the line would leave (CR3; Bell & McCaffrey, Surv. Methodol. 28, 2002). `whitened` (sensor, time, k) are
+    the sensitivities times W, with W' (sum S'S) W = 1 over all events.
     """
     n = residuals.shape[1]
     e, s = (rfft(x, axis=1)[:, 1:].swapaxes(0, 1) for x in (residuals, whitened))
@@ -280,10 +314,8 @@ def samples_of_the_band(residuals, sensitivities):
     power = dct(sensitivities, axis=1, norm="ortho") ** 2
     power = (power / power.sum(axis=(0, 1), keepdims=True).clip(min=TINY)).sum(axis=2)
     errors = uniform_filter1d(dct(residuals, axis=1, norm="ortho") ** 2, n // SMOOTHING, axis=1)
-    highest = 0
-    for share in (power.sum(axis=0), (power * errors).sum(axis=0)):
-        below = np.cumsum(share)
-        highest = max(highest, int(np.searchsorted(below, (1.0 - LOST) * below[-1])) + 1)
+    below = np.cumsum([power.sum(axis=0), (power * errors).sum(axis=0)], axis=1)
+    highest = 1 + max(np.searchsorted(x, (1.0 - LOST) * x[-1]) for x in below)
     return n if highest < STATIC else min(n, max(FEWEST, int(np.ceil(MARGIN * highest))))
 
 
@@ -295,53 +327,42 @@ def resampled(x, n):
 
 
 def amplitudes(residuals, response):
-    """Standard deviation of the errors (sensor, time), and whose grow with the response (sensor,).
+    """Standard deviation of the errors (sensor, time), and whose grow with the response g (sensor,).
 
-    Their variance is constant or a + b g^2 + c times the mean of g^2 over a period, with g the response, if
-    that raises the log-likelihood by `SURE`.
+    Their variance is constant, or a + b g^2 + c times the mean of g^2 over a period if that is likelier.
     """
     n = residuals.shape[1]
     level = np.repeat(np.mean(residuals**2, axis=1, keepdims=True), n, axis=1)
     follows = np.zeros(len(residuals), dtype=bool)
-    if response is not None:
-        power = dct(response, axis=1, norm="ortho") ** 2
-        cycles = 0.5 * (power @ np.arange(n)) / power.sum(axis=1).clip(min=TINY)
-        for j, (r, g) in enumerate(zip(residuals, response, strict=True)):
-            if cycles[j] > 0 and r.any():
-                square, mean, variance = r**2, level[j, 0], level[j]
-                local = uniform_filter1d(g**2, int(np.clip(n / cycles[j], 3, n)))
-                columns = np.stack([np.full(n, np.mean(g**2)), g**2, local], axis=1) / np.mean(g**2)
-                for _ in range(4):
-                    coefficients, _ = nnls(columns / variance[:, None], square / variance)
-                    variance = np.maximum(columns @ coefficients, QUIETEST * mean)
-                gain = 0.5 * np.sum(np.log(mean / variance) - square / variance + square / mean)
-                if gain > SURE:
-                    follows[j], level[j] = True, variance
+    power = dct(response, axis=1, norm="ortho") ** 2
+    cycles = 0.5 * (power @ np.arange(n)) / power.sum(axis=1).clip(min=TINY)
+    for j in np.flatnonzero((cycles > 0) & residuals.any(axis=1)):
+        square, mean, variance, g2 = residuals[j] ** 2, level[j, 0], level[j], response[j] ** 2
+        local = uniform_filter1d(g2, int(np.clip(n / cycles[j], 3, n)))
+        columns = np.stack([np.full(n, np.mean(g2)), g2, local], axis=1) / np.mean(g2)
+        for _ in range(4):
+            coefficients, _ = nnls(columns / variance[:, None], square / variance)
+            variance = np.maximum(columns @ coefficients, QUIETEST * mean)
+        if 0.5 * np.sum(np.log(mean / variance) - square / variance + square / mean) > SURE:
+            follows[j], level[j] = True, variance
     return np.sqrt(level), follows
 
 
 def autoregressions(x, largest):
-    """Filters (component, order + 1) that whiten signals (component, time), by Burg's method.
-
-    Orders by Akaike's criterion, corrected for short records; one filter for all, scaled, if that is better.
-    """
+    """Filters (component, order + 1) that whiten signals (component, time), alike if their AICc is better."""
     n, k = x.shape[1], np.arange(largest + 1)
     scale = np.sqrt(np.mean(x**2, axis=1, keepdims=True)).clip(min=TINY)
     (alone, shared), (gain, shared_gain) = burg(np.stack([x, x / scale]), largest, [[False], [True]])
     score = n * np.log(gain) + (2.0 * (k + 1) * n / (n - k - 2))
     together = n * len(x) * np.log(shared_gain[0]) + 2.0 * (k + len(x))
+    filters = alone[np.arange(len(x)), score.argmin(axis=1)]
     if together.min() < score.min(axis=1).sum():
         filters = shared[:, together.argmin()]
-    else:
-        filters = alone[np.arange(len(x)), score.argmin(axis=1)]
     return filters[:, : 1 + np.flatnonzero(filters.any(axis=0)).max()]
 
 
 def burg(signals, largest, shared=False):
-    """Filters (..., order, order + 1) of signals (..., time), or one of all in a row where they are `shared`.
-
-    With them the residual variance (..., order) over that of the signals.
-    """
+    """Filters (..., order, order + 1) of signals (..., time), rows `shared` or not; variances left over."""
     forward, backward = signals[..., 1:], signals[..., :-1]
     filters = np.zeros((*signals.shape[:-1], largest + 1, largest + 1))
     variance = np.ones(filters.shape[:-1])
@@ -364,31 +385,28 @@ def memory(filters):
 
 
 def by_band(white, spectrum, changes, starts):
-    """Parts of the score S(f)^H e(f), of B = S(f)^H Phi(f) S(f), and of S(f)^H G(f), by band.
+    """Parts of the score S(f)^H e(f), of B = S(f)^H Phi(f) S(f), and of S(f)^H G(f), by band from `starts`.
 
     Phi is the smoothed cross-periodogram of white (component, time); `spectrum` and `changes` (component,
-    frequency, p) are S and G, minus the derivative of e, of signals with as many zeros behind. Bands begin at
-    the frequencies `starts`.
+    frequency, p) are S and G, minus the derivative of e, of signals with as many zeros behind.
     """
-    n_frequencies = spectrum.shape[1]
+    n, n_frequencies = white.shape[1], spectrum.shape[1]
     length = 2 * (n_frequencies - 1)
     bands = [slice(*ends) for ends in itertools.pairwise([*starts, n_frequencies])]
     twice = np.full(n_frequencies, 2.0)
     twice[[0, -1]] = 1.0
-    lost = np.pad(white, ((0, 0), (length // 2 - white.shape[1], 0)))  # by the filters, at the start
+    e = rfft(np.pad(white, ((0, 0), (length // 2 - n, 0))), length, axis=1)  # filters lose the start
     back = spectrum.conj() * (twice / length)[:, None]
-    e = rfft(lost, length, axis=1)
     scores = np.add.reduceat(np.einsum("cfp,cf->fp", back, e).real, starts, axis=0)
     informations = [np.tensordot(back[:, f], changes[:, f], ([0, 1], [0, 1])).real for f in bands]
     half = max(1, min(n_frequencies - 2, n_frequencies // SMOOTHING))
     kernel = np.hanning(2 * half + 3)[1:-1]
     window = irfft(length * kernel[half:] / kernel.sum(), length)  # of lags: smooths what they make
-    r = rfft(white, length, axis=1)
     total = np.zeros((len(bands), spectrum.shape[2], spectrum.shape[2]))
     for i, s in enumerate(spectrum):  # rows: no array (component, component, ...)
-        cross = rfft(irfft(r[i] * r[i:].conj(), length, axis=1) * window, axis=1) * twice
+        cross = rfft(irfft(e[i] * e[i:].conj(), length, axis=1) * window, axis=1) * twice
         cross[1:] *= 2.0
         weighed = np.einsum("cf,cfp->fp", cross, spectrum[i:])
         total += [(s[f].conj().T @ weighed[f]).real for f in bands]
-    total /= white.shape[1] * length
+    total /= n * length
     return scores, 0.5 * (total + total.transpose(0, 2, 1)), np.array(informations)

@@ -15,17 +15,16 @@ that of the others given d_b is the stretched likelihood at the maximum's w_b:
 with m(d_b) = P_ff^-1 (h_f - P_fb d_b). No likelihood is evaluated outside the prior.
 """
 
-import itertools
-from typing import Any, NamedTuple
+from copy import copy
+from typing import NamedTuple
 
 import numpy as np
 import pytensor.tensor as pt
 from scipy.special import ndtr, ndtri_exp
 from scipy.stats import truncnorm
 
-from pymc_features.calibration.maxima import Peak
 from pymc_features.calibration.residuals import Coordinates, log_likelihood
-from pymc_features.calibration.sandwich import stretching, whitening
+from pymc_features.calibration.sandwich import Peak, stretching, whitening
 from pymc_features.smc import PersistentSMC, Reference, population_logp, prior_points
 from pymc_features.smc.proposals.reference import Mode
 
@@ -35,38 +34,25 @@ FARTHEST = 1e4  # from the maximum: unconstrained values that rounding has made 
 PRIOR_DRAWS = 500  # that tell the width of the prior
 
 
-class Stretched(NamedTuple):
+class Stretched:
     """Log prior and calibrated log-likelihood around a maximum, evaluated as `PopulationLogp` is.
 
     `prior` and `likelihood` have the first and the second result of that. What is nearer to the peak of one
     of `others`, in standard deviations, has no likelihood here.
     """
 
-    prior: Any
-    likelihood: Any
-    peak: Peak
-    others: list[Peak]
-    power: float
-    origin: np.ndarray  # point (d,) and matrix (d, d): where the likelihood is evaluated instead
-    matrix: np.ndarray
-    slope: np.ndarray  # h and Q of parameters near a bound, (d,) and (d, d), see above
-    bend: np.ndarray
-
-    @classmethod
-    def around(cls, prior, likelihood, peak, others=()) -> "Stretched":
-        """Stretch a likelihood around one of some peaks."""
-        near, wanted, off = peak.fit.coordinates.near, peak.sandwich.precision, peak.free - peak.fit.w
-        f, b, pushed = np.flatnonzero(~near), np.flatnonzero(near), wanted @ off
-        whiten = whitening(wanted[np.ix_(f, f)])
-        follow = -whiten @ whiten.T @ wanted[np.ix_(f, b)]
-        power, stretch = stretching(peak.sandwich.information[np.ix_(f, f)], wanted[np.ix_(f, f)])
-        origin, slope, (matrix, bend) = peak.fit.w.copy(), 0.0 * off, np.zeros((2, *wanted.shape))
-        origin[f] -= stretch @ (off[f] - follow @ off[b])
-        matrix[np.ix_(f, f)], matrix[np.ix_(f, b)] = stretch, -stretch @ follow
-        slope[b] = pushed[b] + follow.T @ pushed[f]
-        bend[np.ix_(b, b)] = wanted[np.ix_(b, b)] + wanted[np.ix_(b, f)] @ follow
-        peak, *others = (p._replace(fit=p.fit._replace(events=[])) for p in (peak, *others))
-        return cls(prior, likelihood, peak, others, power, origin, matrix, slope, bend)
+    def __init__(self, prior, likelihood, peak: Peak, others=()):
+        near, off = peak.fit.coordinates.near, peak.free - peak.fit.w
+        of_free, wanted = np.outer(~near, ~near), peak.precision
+        whiten = whitening(wanted * of_free)
+        follow = -whiten @ whiten.T @ wanted * near
+        self.power, stretch = stretching(peak.information * of_free, wanted * of_free)
+        self.matrix = ~near[:, None] * (stretch @ (np.eye(len(near)) - follow))
+        self.origin, pushed = peak.fit.w - self.matrix @ off, wanted @ off
+        self.slope = near * (pushed + follow.T @ pushed)
+        self.bend = np.outer(near, near) * (wanted + wanted @ follow)
+        self.peak, *self.others = (p._replace(fit=p.fit._replace(events=[])) for p in (peak, *others))
+        self.prior, self.likelihood = prior, likelihood
 
     def __call__(self, z):
         """Log prior, log-likelihood and failures, each (n,), of unconstrained points (n, d)."""
@@ -81,12 +67,19 @@ class Stretched(NamedTuple):
 
     def with_rng(self, rng) -> "Stretched":
         """Take random streams of its own where numbers are drawn inside."""
-        return self._replace(likelihood=self.likelihood.with_rng(rng))
+        other = copy(self)
+        other.likelihood = self.likelihood.with_rng(rng)
+        return other
 
     @property
     def last_error(self) -> str:
         """What the model raised last; empty if nothing did."""
         return self.likelihood.last_error
+
+    @property
+    def draws_random_numbers(self) -> bool:
+        """Whether two evaluations of the same point may differ."""
+        return self.likelihood.draws_random_numbers
 
 
 class StretchedSMC(PersistentSMC):
@@ -100,14 +93,14 @@ class StretchedSMC(PersistentSMC):
         """All is compiled."""
 
 
-def prior_and_likelihood(model, point, compile_kwargs) -> tuple:
+def prior_and_likelihood(predictions, compile_kwargs) -> tuple:
     """Evaluations whose first result is the prior, with potentials, and whose second is the likelihood."""
-    zero, of_prior = pt.zeros(()), [*model.free_RVs, *model.potentials]
-    of_model = ()  # what `sample` has compiled
-    if model.potentials:
-        of_model = "data", lambda: (zero, model.logp(vars=model.observed_RVs))
-    prior = population_logp(model, point, compile_kwargs, "prior", lambda: (model.logp(vars=of_prior), zero))
-    return prior, population_logp(model, point, compile_kwargs, *of_model)
+    model, point, zero = predictions.model, predictions.space.point, pt.zeros(())
+    of_prior = [*model.free_RVs, *model.potentials]
+    prior = "potentials", lambda: (model.logp(vars=of_prior), zero)
+    data = "data", lambda: (zero, model.logp(vars=model.observed_RVs))
+    of_model = data if model.potentials else ()  # without, what `sample` has compiled
+    return tuple(population_logp(model, point, compile_kwargs, *terms) for terms in (prior, of_model))
 
 
 class Expansion(NamedTuple):
@@ -143,12 +136,12 @@ class Expansion(NamedTuple):
 def curved(predictions, peak: Peak) -> tuple[Peak, Expansion | None]:
     """The peak with the likelihood's own curvature as A, where that is positive, and its expansion.
 
-    Both are along the axes of A, of parameters that are not near a bound: where they are correlated, a change
-    of one of them alone by its standard deviation leads far away. No expansion along many axes.
+    Both are along the axes of A, of parameters not near a bound: where they are correlated, a change of one
+    alone by its standard deviation leads far away. No expansion along many axes.
     """
-    fit, result, free = peak.fit, peak.sandwich, ~peak.fit.coordinates.near
-    whiten = whitening(result.information * np.outer(free, free))
-    widths = np.sqrt(np.diag(whiten.T @ result.variability @ whiten))
+    fit, free = peak.fit, ~peak.fit.coordinates.near
+    whiten = whitening(peak.information * np.outer(free, free))
+    widths = np.sqrt(np.diag(whiten.T @ peak.variability @ whiten))
     steps = CURVED * np.minimum(widths, 1.0)
     axes, k, at_maximum = (whiten * steps).T, len(steps), predictions(fit.z)
 
@@ -162,19 +155,18 @@ def curved(predictions, peak: Peak) -> tuple[Peak, Expansion | None]:
         return np.concatenate(found)
 
     columns = second_order(value, fit.w, axes)
-    first, second = np.triu_indices(k)
     curvature = np.zeros((k, k))
-    np.add.at(curvature, (first, second), -columns[1 + k :, 0])
+    curvature[np.triu_indices(k)] = -columns[1 + k :, 0]
     relative = (curvature + curvature.T) / np.outer(steps, steps)
     if np.linalg.eigvalsh(relative).min(initial=np.inf) > 0:
-        unwhiten = whiten.T @ result.information
+        unwhiten = whiten.T @ peak.information
         more = unwhiten.T @ (relative - np.eye(k)) @ unwhiten
-        peak = peak._replace(sandwich=result._replace(information=result.information + more))
+        peak = peak._replace(information=peak.information + more)
     if k > MOST_EXPANDED:
         return peak, None
     claimed = np.concatenate([v.claimed for v in at_maximum])
-    ends = 1 + np.cumsum([0, len(claimed), *(v.mu.shape[-1] for v in at_maximum for _ in v.claimed)])
-    log_scale, *series = (columns[:, i:j] for i, j in itertools.pairwise(ends))
+    lengths = [1, len(claimed), *(v.mu.shape[-1] for v in at_maximum for _ in v.claimed)]
+    _, log_scale, *series = np.split(columns, np.cumsum(lengths[:-1]), axis=1)
     gram = np.array([x @ x.T for x in series])
     return peak, Expansion(fit.coordinates, fit.w, np.linalg.pinv(axes).T, gram, log_scale, claimed)
 
@@ -201,47 +193,43 @@ class CutNormal(NamedTuple):
 
     coordinates: Coordinates
     mean: np.ndarray  # of the normal distribution of all coordinates (d,)
-    deviations: np.ndarray  # standard deviations of those near a bound (b,)
-    follow: np.ndarray  # how the others change with those (f, b)
-    factor: np.ndarray  # Cholesky factor of the covariance of the others, given those (f, f)
+    factor: np.ndarray  # of its covariance (d, d); diagonal in the rows of those near a bound
 
     @property
     def cut(self):
         """Distributions (b,) of coordinates near a bound, in standard deviations from the mean."""
-        ends = self.coordinates.limits - self.mean
-        return truncnorm(*(ends[:, self.coordinates.near] / self.deviations))
+        ends = (self.coordinates.limits - self.mean) / np.diag(self.factor)
+        return truncnorm(*ends[:, self.coordinates.near])
 
     def forward(self, z):
         """u (n, d), and ln |du/dz| (n,)."""
-        near, w, cut = self.coordinates.near, self.coordinates.of(z), self.cut
-        u, off = np.empty_like(w), w - self.mean
-        x = np.clip(off[:, near] / self.deviations, *cut.support())
+        near, cut = self.coordinates.near, self.cut
+        u = np.linalg.solve(self.factor, (self.coordinates.of(z) - self.mean).T).T
+        x = np.clip(u[:, near], *cut.support())
         u[:, near] = ndtri_exp(cut.logcdf(x))
-        u[:, ~near] = np.linalg.solve(self.factor, (off[:, ~near] - off[:, near] @ self.follow.T).T).T
-        slopes = 0.5 * (u[:, near] ** 2 + np.log(2.0 * np.pi)) + cut.logpdf(x) - np.log(self.deviations)
+        slopes = 0.5 * (u[:, near] ** 2 + np.log(2.0 * np.pi)) + cut.logpdf(x)
         slopes += np.log(self.coordinates.slopes(z)[:, near])
-        return u, slopes.sum(axis=1) - np.log(np.diag(self.factor)).sum()
+        return u, slopes.sum(axis=1) - np.linalg.slogdet(self.factor)[1]
 
     def inverse(self, u):
         """z (n, d)."""
-        near, w = self.coordinates.near, self.mean + np.zeros_like(u)
-        x, cut = u[:, near], self.cut
-        w[:, near] += self.deviations * np.where(x > 0.0, cut.isf(ndtr(-x)), cut.ppf(ndtr(x)))
-        w[:, ~near] += (w - self.mean)[:, near] @ self.follow.T + u[:, ~near] @ self.factor.T
-        return self.coordinates.unconstrained(w)
+        near, x = self.coordinates.near, np.array(u)
+        of_near, cut = u[:, near], self.cut
+        x[:, near] = np.where(of_near > 0.0, cut.isf(ndtr(-of_near)), cut.ppf(ndtr(of_near)))
+        return self.coordinates.unconstrained(self.mean + x @ self.factor.T)
 
 
 def bell(model, peak: Peak, rng) -> Reference:
     """The calibrated likelihood as it is expected, with the width of the prior where there is no other."""
     prior = prior_points(model, PRIOR_DRAWS, rng)
     centre, scale = prior.mean(axis=0), prior.std(axis=0)
-    coordinates, mean, precision = peak.fit.coordinates, peak.free, peak.sandwich.precision
-    f, b = np.flatnonzero(~coordinates.near), np.flatnonzero(coordinates.near)
-    covariance = np.linalg.inv(precision[np.ix_(f, f)] + np.diag(scale[f] ** -2.0))
-    mean[f] += covariance @ ((centre - mean)[f] / scale[f] ** 2)
-    follow = -covariance @ precision[np.ix_(f, b)]
-    bent = CutNormal(coordinates, mean, peak.deviations[b], follow, np.linalg.cholesky(covariance))
-    unit = np.eye(len(mean))
+    near, mean, precision = peak.fit.coordinates.near, peak.free, peak.precision
+    wide = np.where(near, peak.deviations, scale) ** -2.0
+    covariance = np.linalg.inv(precision * np.outer(~near, ~near) + np.diag(wide))
+    mean += ~near * (covariance @ (~near * (centre - mean) * wide))
+    follow = ~near[:, None] * (covariance @ precision) * near
+    factor = (np.eye(len(mean)) - follow) @ np.linalg.cholesky(covariance)
+    bent, unit = CutNormal(peak.fit.coordinates, mean, factor), np.eye(len(mean))
     axes = 0.5 * (bent.inverse(unit) - bent.inverse(-unit)) / scale
     point = (bent.inverse(np.zeros((1, len(mean))))[0] - centre) / scale
     return Reference([Mode(point, np.linalg.cholesky(axes.T @ axes), 0.0, 1)], centre, scale, [bent])

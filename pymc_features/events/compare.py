@@ -22,16 +22,15 @@ from pymc_features._checks import (
     shown,
 )
 from pymc_features.calibration.events import event_check
-from pymc_features.calibration.maxima import some_draws
 from pymc_features.calibration.residuals import Predictions, log_likelihood
-from pymc_features.inference.parameters import posterior_for
+from pymc_features.inference.parameters import posterior_for, some_draws
 from pymc_features.smc import savable
 
 DECIDED = 0.95  # probability of the best model from which one may speak of a decision
 UNCERTAIN = 0.1  # standard error of a probability that is too large to tell anything
 NOT_WHITE, DISAGREE = 0.01, 0.05  # p-values of residuals, and of events, that a model does not explain
 ERROR_DRAWS = 4000  # of the errors of the log evidences
-LAGS = 20  # of the test for white residuals
+LAGS, SOME = 20, 20  # of the test for white residuals, and draws of which the likeliest has them
 ITERATIONS, SMALL = 10_000, 1e-10  # of stacking
 SAMPLE_BOTH = "Pass what `sample` or `sample_smc` returned for each model."
 
@@ -362,7 +361,7 @@ def residual_whiteness(model, idata) -> float:
     independent: of a `CorrelatedNormal` what each sample adds.
     """
     posterior, predictions = posterior_for(model, idata, "models"), Predictions(model)
-    values = [predictions(z) for z in some_draws(model, posterior)]
+    values = [predictions(z) for z in some_draws(model, posterior, SOME)]
     best = values[int(np.argmax([log_likelihood(value) for value in values]))]
     p_values = [ljung_box(row) for value in best for row in value.residuals]
     return float(min(1.0, len(p_values) * min(p_values)))

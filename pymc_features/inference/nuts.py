@@ -13,7 +13,7 @@ from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
 from pymc_features._checks import check_integer, check_keywords, check_mapping, check_model, check_seed, shown
 from pymc_features.exceptions import ChainsDisagreeWarning
-from pymc_features.inference.parameters import check_continuous, posterior_for, to_unconstrained
+from pymc_features.inference.parameters import check_continuous, posterior_for, some_draws
 from pymc_features.inference.sample import sample
 from pymc_features.smc import processors
 
@@ -148,10 +148,7 @@ def picked_by_seed(model, posterior):
 
 def nuts_step(model, posterior, target_accept):
     """NUTS with the particles' covariance as its first mass matrix."""
-    flat = to_unconstrained(
-        model, posterior.isel(draw=slice(None, None, max(1, posterior.sizes["draw"] // 500)))
-    )
-    flat = flat.reshape(-1, flat.shape[-1])
+    flat = some_draws(model, posterior, 500 * posterior.sizes["chain"])
     covariance = np.atleast_2d(np.cov(flat, rowvar=False))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="QuadPotentialFullAdapt is an experimental")

@@ -52,9 +52,11 @@ def initial_values(model, point: dict | None = None, argument: str = "point") ->
     return {name: np.asarray(v, dtype=np.float64) for name, v in zip(names, values, strict=True)}
 
 
-def posterior_for(model, idata, name: str) -> xr.Dataset:
+SAME_MODEL = "Pass what `sample` returned for the same model."
+
+
+def posterior_for(model, idata, name: str, advice: str = SAME_MODEL) -> xr.Dataset:
     """The posterior group of a DataTree, with finite draws (chain, draw, ...) of every free parameter."""
-    advice = "Pass what `sample` returned for the same model."
     posterior = check_group(idata, name, "posterior", advice, "chain", "draw")
     missing = [rv.name for rv in model.free_RVs if rv.name not in posterior]
     if missing:
@@ -113,6 +115,13 @@ def to_unconstrained(model, posterior) -> np.ndarray:
     with ONE_CALL:
         rows = [[function(*(c[i, j] for c in columns)) for j in range(draws)] for i in range(chains)]
     return np.array(rows)
+
+
+def some_draws(model, posterior, number: int) -> np.ndarray:
+    """About so many unconstrained draws (n, d) of all chains of a posterior, evenly spaced."""
+    every = max(1, posterior.sizes["chain"] * posterior.sizes["draw"] // number)
+    some = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
+    return some.reshape(-1, some.shape[-1])
 
 
 class Unconstrained:

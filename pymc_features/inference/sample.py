@@ -16,7 +16,7 @@ from pymc_features.exceptions import NoSpreadError, SamplingWarning
 from pymc_features.external.workers.calls import one_thread_each
 from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
 from pymc_features.inference.cross_check import Density, affordable, cross_check
-from pymc_features.inference.parameters import Unconstrained, coordinate_names, to_unconstrained
+from pymc_features.inference.parameters import Unconstrained, coordinate_names, some_draws
 from pymc_features.smc import (
     PersistentSMC,
     Reference,
@@ -372,6 +372,4 @@ def compared_draws(model, posterior):
     """Some draws (n, d) on the sampled scale; None if the model has discrete parameters."""
     if any(not rv.dtype.startswith("float") for rv in model.free_RVs):
         return None
-    every = max(1, posterior.sizes["chain"] * posterior.sizes["draw"] // N_POSTERIOR)
-    flat = to_unconstrained(model, posterior.to_dataset().isel(draw=slice(None, None, every)))
-    return flat.reshape(-1, flat.shape[-1])
+    return some_draws(model, posterior, N_POSTERIOR)

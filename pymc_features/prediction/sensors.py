@@ -216,7 +216,7 @@ def gram_matrices(model, points: np.ndarray, chosen: list[int]) -> np.ndarray:
     scale = prior_points(model, N_PRIOR, np.random.default_rng(0)).std(axis=0)
     total = []
     for z in points:
-        events = events_at(predictions, z, STEP * scale, predictions(z))
+        events = events_at(predictions, predictions.coordinates, z, STEP * scale, predictions(z))
         at_point = 0.0
         for event in events:
             s = event.sensitivities[chosen] * scale

@@ -27,8 +27,8 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import expit, gammaincc, gammaln, logit
 
-from pymc_features.calibration.residuals import Comparison, Event
-from pymc_features.calibration.sandwich import sandwich, stretching
+from pymc_features.calibration.residuals import Comparison, Fit
+from pymc_features.calibration.sandwich import Peak, stretching
 from pymc_features.likelihoods import LIKELIHOODS, abc_tolerance
 from pymc_features.likelihoods.catalogue import NORM, Exponents
 from pymc_features.study import paper
@@ -438,10 +438,11 @@ def calibrated(step: Step) -> ExactPosterior:
     value = Comparison(response(theta), step.data.values, sigma, n_times, step=step.dt).by_sensor()
     slopes = np.stack([slope, np.zeros_like(slope)], axis=-1)
     of_scale = np.tile([0.0, of_sigma], (n_sensors, 1))
-    event = Event(value, slopes, of_scale, step.study.at(theta).modes().natural_frequencies)
+    frequencies = step.study.at(theta).modes().natural_frequencies
+    event = value._replace(sensitivities=slopes, of_scale=of_scale, frequencies=frequencies)
     curvature = norm.c * curve.curvature * (of_theta / sigma) ** 2
     information = np.diag([curvature, 2.0 * norm.m * of_sigma**2])
-    precision = sandwich([event], model_error=None)._replace(information=information).precision
+    precision = Peak.at(Fit(None, None, [event]), None)._replace(information=information).precision
     power, matrix = stretching(information, precision)
     stretches = {
         "theta": Stretch(paper.THETA_RANGE, theta, float(matrix[0, 0])),

@@ -6,6 +6,7 @@ import numpy as np
 import pymc as pm
 import pytest
 import xarray as xr
+from scipy.special import expit
 from scipy.stats import kstest, norm, truncnorm
 
 import pymc_features as pmf
@@ -13,8 +14,9 @@ from benchmarks import truth
 from benchmarks.coverage.bounds import LOWEST, PLACES, bounded, coverage, declare, exact, fitted, true_sd
 from benchmarks.coverage.errors import LEVEL, measurements
 from calibration.test_sandwich import errors_of, regression
-from pymc_features.calibration.maxima import climb_likelihood, peak_at
+from pymc_features.calibration.maxima import climb_likelihood
 from pymc_features.calibration.residuals import Coordinates, Predictions, bounds_of
+from pymc_features.calibration.sandwich import Peak
 from pymc_features.calibration.stretched import CutNormal, curved
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import Unconstrained, to_unconstrained
@@ -45,7 +47,7 @@ def test_a_truth_outside_the_prior():
 def test_nothing_jumps_when_the_maximum_reaches_the_bound():
     """The mean of the normal distribution behind the interval, for bounds on both sides of the maximum."""
     fit = fitted(0, 2.0).fit
-    maximum = LOWEST + 1.5 * fit.coordinates.rooms(fit.z)[0][0, 0]
+    maximum = LOWEST + 1.5 * expit(fit.z[0])
     for offset in (-0.5, -0.01, 0.01, 0.5):
         upper = maximum + offset * true_sd()
         peak = fitted(0, upper)
@@ -133,9 +135,9 @@ def test_curvature_beside_a_bound():
         mu = first * one + pm.math.exp(3.0 * second) / 3.0 * (one + 0.05 * other)
         pm.Normal("y", mu, pm.HalfNormal("sigma", 1.0), observed=one + (one + 0.05 * other) / 3.0 + errors)
     predictions = Predictions(model)
-    peak = peak_at(climb_likelihood(predictions, np.array([2.0, 0.0, -2.0])))
-    before = peak_at(peak.fit.measured_from_bounds(np.array([True, False, False])))
-    matrices = [p.sandwich.information for p in (before, curved(predictions, before)[0])]
+    peak = Peak.at(climb_likelihood(predictions, np.array([2.0, 0.0, -2.0])))
+    before = Peak.at(peak.fit.measured_from_bounds(np.array([True, False, False])))
+    matrices = [p.information for p in (before, curved(predictions, before)[0])]
     assert abs(matrices[1][1, 1] / matrices[0][1, 1] - 1.0) > 1e-3
     alone = [np.linalg.inv(m)[0, 0] for m in matrices]
     np.testing.assert_allclose(alone[1], alone[0], rtol=1e-6)
@@ -161,8 +163,8 @@ def test_a_positive_parameter_that_wants_to_vanish():
     predictions = Predictions(storeys(measured, *priors))
     level = np.log(LEVEL * np.sqrt(np.mean(response**2)))
     for damping in (0.03, 0.3):
-        peak = peak_at(climb_likelihood(predictions, np.array([np.log(damping), 1.0, 1.0, level])))
-        peak = peak_at(peak.fit.measured_from_bounds(peak.near_bounds()))
+        peak = Peak.at(climb_likelihood(predictions, np.array([np.log(damping), 1.0, 1.0, level])))
+        peak = Peak.at(peak.fit.measured_from_bounds(peak.near_bounds()))
         coordinates = peak.fit.coordinates
         assert coordinates.near.tolist() == [True, False, False, False]
         assert np.exp(peak.fit.z[0]) < 3.0 * peak.deviations[0] * np.exp(coordinates.origin[0]) < 0.05
@@ -190,10 +192,11 @@ def test_bounds_of_priors():
 def test_normal_distributions_that_are_cut():
     """A map to standard normal numbers, on both sides and far out, and back; its density by differences."""
     mean = np.array([0.2, -3.0, 1.2, 0.5, -0.3])
-    factor, follow = np.array([[0.5, 0.0], [0.2, 0.3]]), np.array([[0.4, 0.1, 0.0], [0.0, 0.2, -0.3]])
+    factor = np.diag([0.5, 0.8, 0.1, 0.3, 0.02])
+    factor[3, 0], factor[0, 1:3], factor[3, [2, 4]] = 0.2, (0.32, 0.01), (0.02, -0.006)
     sides, near = np.array([0, 1, 2, 1, 2]), np.array([False, True, True, False, True])
     coordinates = Coordinates(sides, near, np.array([0.4, -1.9, 1.6, 0.8, -3.9]))
-    cut = CutNormal(coordinates, mean, np.array([0.8, 0.1, 0.02]), follow, factor)
+    cut = CutNormal(coordinates, mean, factor)
     u = np.random.default_rng(1).normal(size=(200, 5))
     z = cut.inverse(u)
     back, log_density = cut.forward(z)

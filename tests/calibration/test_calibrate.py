@@ -202,6 +202,21 @@ def test_what_a_checkpoint_keeps_is_not_evaluated_again(y, tmp_path, monkeypatch
     np.testing.assert_array_equal(again, calibrated(model, draws=200, cores=1)[1])
 
 
+def test_a_checkpoint_of_many_parameters(tmp_path, monkeypatch):
+    """Whose likelihood is not expanded, but sampled: a second run ends with the same draws by the record."""
+    rng = np.random.default_rng(3)
+    design = rng.normal(size=(2, 200, 16))
+    with pm.Model() as model:
+        theta = pm.Normal("theta", 0.0, 3.0, shape=16)
+        mu, sigma = pm.math.dot(design, theta), pm.HalfNormal("sigma", 1.0)
+        pm.Normal("y", mu, sigma, observed=design.sum(axis=-1) + 0.3 * rng.normal(size=(2, 200)))
+    settings = {"chains": 1, "cores": 1, "random_seed": 1, "progressbar": False, "checkpoint": tmp_path}
+    first = pmf.calibrate(at(*np.ones(16), sigma=0.3), model=model, draws=50, **settings)
+    monkeypatch.setattr(Stretched, "__call__", None)
+    again = pmf.calibrate(at(*np.ones(16), sigma=0.3), model=model, draws=50, **settings)
+    np.testing.assert_array_equal(again["posterior"]["theta"], first["posterior"]["theta"])
+
+
 def test_every_mode_has_its_weight(y):
     """theta^2 is what the data know, so that two modes differ by the prior alone: 0.646 to 0.354."""
     with pm.Model() as model:

@@ -8,8 +8,9 @@ import xarray as xr
 from scipy.signal import lfilter
 
 from pymc_features import ExpFeature, GammaFeature, effective_samples
-from pymc_features.calibration.maxima import climb_likelihood, peak_at
+from pymc_features.calibration.maxima import climb_likelihood
 from pymc_features.calibration.residuals import Comparison, Coordinates, log_likelihood
+from pymc_features.calibration.sandwich import Peak
 from pymc_features.calibration.stretched import curved
 
 TIME = 0.02 * np.arange(500)
@@ -27,7 +28,7 @@ class Ringing:
     That makes second derivatives count: they change the curvature by a factor up to five.
     """
 
-    coordinates = Coordinates.plain(np.zeros(3, dtype=int), np.zeros(3))
+    coordinates = Coordinates(np.zeros(3, dtype=int), np.zeros(3, dtype=bool), np.zeros(3))
 
     def __init__(self, seed, claimed, mixing=None):
         self.mixing = np.eye(3) if mixing is None else mixing
@@ -92,9 +93,9 @@ def test_curvature_does_not_depend_on_how_parameters_are_mixed(seed):
     for matrix in (np.eye(3), np.eye(3) + 10.0 * np.eye(3, k=1)[[0, 2, 2]]):
         predictions = Ringing(seed, 2.0, matrix)
         fit = climb_likelihood(predictions, np.linalg.solve(matrix, np.log((3.0, 0.005, 0.5))))
-        peak, _ = curved(predictions, peak_at(fit))
+        peak, _ = curved(predictions, Peak.at(fit))
         unmixed = np.linalg.inv(matrix)
-        curvatures.append(unmixed.T @ peak.sandwich.information @ unmixed)
+        curvatures.append(unmixed.T @ peak.information @ unmixed)
         by_gauss.append(unmixed.T @ fit.information @ unmixed)
     scale = np.sqrt(np.outer(np.diag(by_gauss[0]), np.diag(by_gauss[0])))
     np.testing.assert_allclose(curvatures[1] / scale, curvatures[0] / scale, atol=0.03)

@@ -5,12 +5,12 @@ import pytest
 from scipy.fft import dct, idct
 from scipy.signal import lfilter
 
-from pymc_features.calibration.residuals import Comparison, Event
+from pymc_features.calibration.residuals import Comparison, Fit
 from pymc_features.calibration.sandwich import (
+    Peak,
     burg,
     error_model,
     memory,
-    sandwich,
     sentence,
     taken,
 )
@@ -54,7 +54,12 @@ def event_of(residuals, sensitivities, response, frequencies=None):
     """Residuals (sensor, time), NaN in gaps, of a fit, and how they change with the parameters."""
     value = Comparison(response, response + residuals, 1.0, 1.0, step=DT).by_sensor()
     none = np.zeros((len(residuals), sensitivities.shape[-1]))
-    return Event(value, sensitivities, none, frequencies)
+    return value._replace(sensitivities=sensitivities, of_scale=none, frequencies=frequencies)
+
+
+def sandwich(events, *how, **more):
+    """What the residuals of independent likelihoods say."""
+    return Peak.at(Fit(None, None, events), *how, **more)
 
 
 def least_squares(e, s):
@@ -198,7 +203,7 @@ def test_without_bands_nothing_grows():
     assert found.growth > 1.0
     for one, how in (
         (event._replace(frequencies=None), "bands"),
-        (event._replace(value=event.value._replace(step=np.nan)), "bands"),
+        (event._replace(step=np.nan), "bands"),
         (event._replace(frequencies=np.array([1.0])), "bands"),
         (event, None),
     ):
