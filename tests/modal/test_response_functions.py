@@ -135,7 +135,7 @@ def closed_form(fit, theta, zeta, sigmas):
     )
     s = np.diag((np.array([sigmas[0], sigmas[1], *[sigmas[2]] * 4]) * sizes).ravel() ** 2)
     f = 6 * np.arange(3)
-    s[np.ix_(f, f)] = sigmas[0] ** 2 * (0.5 + 0.5 * np.eye(3))
+    s[np.ix_(f, f)] = sigmas[0] ** 2 * (0.6 + 0.4 * np.eye(3))
     a = np.eye(18) + information @ s
     return -0.5 * d @ np.linalg.solve(a, information @ d) - 0.5 * np.linalg.slogdet(a)[1]
 
