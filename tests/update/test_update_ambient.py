@@ -268,10 +268,11 @@ def test_more_modes_than_the_structure_has(tmp_path):
 @pytest.mark.slow
 def test_a_known_motion_of_the_base(tmp_path):
     """Stiffness and damping are known better with the base than without its name, and it is no residual."""
-    motion = truth.motion(1.0 / STEP, (N - 1) * STEP, 4)
+    n = N // 4
+    motion = truth.motion(1.0 / STEP, (n - 1) * STEP, 4)
     frame = building(TRUE["k1"], TRUE["k2"], TRUE["zeta"])
     moved = pmf.simulate(frame, Record(motion.values()[0], STEP))
-    table = np.column_stack([STEP * np.arange(N), motion.values()[0], *(shaken(1) + moved.values)])
+    table = np.column_stack([STEP * np.arange(n), motion.values()[0], *(shaken(1)[:, :n] + moved.values)])
     head = "time,ground,first,roof"
     np.savetxt(tmp_path / "wind.csv", table, "%.8g", ",", header=head, comments="")
     known = {"sensors =": 'base = "ground"\nsensors =', "[ambient]": '[ambient]\nexcitation = "base"'}
@@ -285,7 +286,7 @@ def test_a_known_motion_of_the_base(tmp_path):
     for name in ("k1", "k2", "zeta"):
         z = (float(posterior[name].mean()) - TRUE[name]) / float(posterior[name].std())
         assert abs(z) < 4.0, name
-    assert posterior["k1"].std() < 2e-3  # 3e-3 and more without the base
+    assert posterior["k1"].std() < 6e-3  # twice that without the base
     fitted = result["AMBIENT/spectra"].to_dataset()
     assert np.all(np.abs(fitted["ratio"] - 1.0) < 6.0 * fitted["sd"])
     assert fitted["residual"].std() < 0.5 * moved.std()
