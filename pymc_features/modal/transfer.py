@@ -301,10 +301,13 @@ def further_mode(modes: TransferModes, experiments, lines, passed) -> TransferMo
     """Modes with one more, which takes most of what they leave at lines that are not passed by (k,)."""
     off = residuals(modes, experiments, lines)
     weights = [2.0 / e.variance for e in experiments]
-    power = sum((w * np.abs(x) ** 2).sum(axis=0) for w, x in zip(weights, off, strict=True))
-    peak = int(np.where(passed, 0.0, power).argmax())
-    low, high = np.interp([peak - 1, peak + 1], np.arange(len(power)), lines.frequencies)
-    w, z = (x.ravel() for x in np.meshgrid(2.0 * np.pi * np.linspace(low, high, 9), RATIOS))
+    peaks = []  # as the lines are weighted, and as one sees them: lines far from a peak may weigh more
+    for sizes in (weights, [w.mean(axis=1, keepdims=True) for w in weights]):
+        power = sum((w * np.abs(x) ** 2).sum(axis=0) for w, x in zip(sizes, off, strict=True))
+        peaks.append(int(np.where(passed, 0.0, power).argmax()))
+    near = [np.interp([i - 1, i + 1], np.arange(len(power)), lines.frequencies) for i in np.unique(peaks)]
+    natural = 2.0 * np.pi * np.concatenate([np.linspace(*ends, 9) for ends in near])
+    w, z = (x.ravel() for x in np.meshgrid(natural, RATIOS))
     is_wide = z * w > START * 2.0 * np.pi * np.min(np.diff(lines.frequencies))
     w, z = w[is_wide], z[is_wide]
     g = unit_responses(w, z, lines)

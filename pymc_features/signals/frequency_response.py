@@ -78,8 +78,9 @@ def frequency_response(
     xarray.Dataset (response, reference, frequency [Hz])
         `frequency_response`, complex; of more averages than references at a time also `variance`, E|error|^2,
         and `coherence`, the multiple one of several references. `attrs`: `quantity`, `excitation`, `units`,
-        `n_averages`, the least of a reference, `duration` of a record or segment [s], `dt` [s], `decay` [1/s]
-        and `blow`, the centroid of the blow [s], NaN where there is none; the coordinate `blow` has each.
+        `n_averages`, the least of a reference, `duration` of a record or segment [s], `dt` [s],
+        `decay` [1/s], `window` of segments, and `blow`, the centroid of the blow [s], NaN where there is
+        none; the coordinate `blow` has each.
 
     Raises
     ------
@@ -154,6 +155,7 @@ def frequency_response(
         estimates.append(_estimate(X, Y, frequency[lines], method, factor, overlap, setups[k]))
     H, *rest = (np.concatenate(parts, axis=1) for parts in zip(*estimates, strict=True))
     facts = {"n_averages": min(counts), "duration": float(n_used * step), "dt": step, "decay": decay}
+    facts |= {} if segment is None else {"window": "hann"}
     data = dataset(H, labels, frequency[lines], pair, **facts)
     if is_blow:
         pulses = np.abs(forces * loud)[:, :, 0]

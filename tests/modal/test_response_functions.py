@@ -1,5 +1,7 @@
 """FrequencyResponse: modes of measured response functions against closed forms, and what intervals hold."""
 
+import warnings
+
 import numpy as np
 import pymc as pm
 import pytest
@@ -349,3 +351,14 @@ def test_refusals(data):
     with pm.Model(), pytest.raises(ValueError, match="`structure` must be damped in all modes"):
         chain = pmf.SpringMassChain(MASS, SPRINGS, pmf.ModalDamping(0.0))
         FrequencyResponse("H", chain, observed=data, responses=SENSORS, references=POINTS)
+
+
+def test_short_segments_are_named(data):
+    """Hann segments with fewer than three lines in a half-power width, at 1.9 Hz; not longer ones."""
+    with pytest.warns(
+        ModalMatchWarning, match="Hann segments of 60 s are short .* 2.095 Hz, which will look"
+    ):
+        declare(data.assign_attrs(window="hann", duration=60.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        declare(data.assign_attrs(window="hann", duration=90.0))
