@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.lib.stride_tricks import sliding_window_view
 
-from pymc_features._checks import is_among, shown, single
+from pymc_features._checks import is_among, require, shown, single
 from pymc_features.signals.channels import check_array, check_band, sampling_step, sensor_names
 
 _SEGMENTS = 8  # at least, without overlap, so that a coherence means something
@@ -62,9 +62,9 @@ def low_frequency_gains(
     x = values[base_index(channels, base)]
     shortest = max(_BINS / (high - low), 2.0 / low) / step
     size = max(x.size // _SEGMENTS, int(np.ceil(shortest)))
-    if x.size < 2 * size:
-        what = f"{2 * size * step:.3g} s for the band {low:g} to {high:g} Hz, got {x.size * step:.3g} s"
-        raise ValueError(f"`channels` must last at least {what}. Widen the band or take a longer window.")
+    what = f"{2 * size * step:.3g} s for the band {low:g} to {high:g} Hz, got {x.size * step:.3g} s"
+    text = f"`channels` must last at least {what}. Widen the band or take a longer window."
+    require(x.size >= 2 * size, text)
     parts = [where_both(x, y, 2 * size) for y in values]
     unknown = (np.nan,) * len(COLUMNS)
     rows = [unknown if part is None else _compare(*part, step, (low, high), size) for part in parts]
@@ -95,9 +95,8 @@ def base_index(channels: xr.DataArray, base) -> int:
     names = sensor_names(channels)
     if base is None:
         return 0
-    if not is_among(base, names):
-        listed = ", ".join(map(repr, map(str, names)))
-        raise ValueError(f"`base` must be one of the sensors {listed}, got {shown(base)}.")
+    what = f"one of the sensors {', '.join(map(repr, map(str, names)))}, got {shown(base)}"
+    require(is_among(base, names), f"`base` must be {what}.")
     return names.index(single(base))
 
 
