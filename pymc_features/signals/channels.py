@@ -60,10 +60,9 @@ def sampling_step(channels: xr.DataArray) -> float:
 
 def step_of(channels: xr.DataArray, name: str) -> float:
     """Sampling interval [s] of an array (..., time), which a message calls by a name."""
-    what = "a time coordinate [s] of at least 2 samples"
     got = f"{channels.sizes['time']} samples and coordinates {list(channels.coords)}"
     is_there = "time" in channels.coords and channels.sizes["time"] > 1
-    require(is_there, f"`{name}` must have {what}, got {got}.")
+    require(is_there, f"`{name}` must have a time coordinate [s] of at least 2 samples, got {got}.")
     time = channels["time"].values
     if time.dtype.kind not in "iuf":
         got = f"a time coordinate of type {time.dtype}. Pass seconds from the first sample"

@@ -62,9 +62,9 @@ def low_frequency_gains(
     x = values[base_index(channels, base)]
     shortest = max(_BINS / (high - low), 2.0 / low) / step
     size = max(x.size // _SEGMENTS, int(np.ceil(shortest)))
-    what = f"{2 * size * step:.3g} s for the band {low:g} to {high:g} Hz, got {x.size * step:.3g} s"
-    text = f"`channels` must last at least {what}. Widen the band or take a longer window."
-    require(x.size >= 2 * size, text)
+    if x.size < 2 * size:
+        what = f"{2 * size * step:.3g} s for the band {low:g} to {high:g} Hz, got {x.size * step:.3g} s"
+        raise ValueError(f"`channels` must last at least {what}. Widen the band or take a longer window.")
     parts = [where_both(x, y, 2 * size) for y in values]
     unknown = (np.nan,) * len(COLUMNS)
     rows = [unknown if part is None else _compare(*part, step, (low, high), size) for part in parts]

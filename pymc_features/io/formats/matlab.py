@@ -17,6 +17,8 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from scipy import sparse
+from scipy.io import loadmat, whosmat
 
 from pymc_features._checks import listed, require
 from pymc_features.io.reading.labels import Label, role_of, unit_of
@@ -45,8 +47,6 @@ def load_variables(path: Path) -> dict[str, np.ndarray]:
             return _load_hdf5(path)
         raw = memoryview(path.read_bytes())
         if 0 in raw[:4]:  # version 4, of which SciPy's reader is in Python; the header of version 5 is text
-            from scipy.io import loadmat, whosmat
-
             pairs = loadmat(BytesIO(raw), spmatrix=False).items()
             names = [name for name, *_ in whosmat(BytesIO(raw))]
         else:
@@ -125,8 +125,6 @@ def _array_5(parts, order: str, prefix: str, depth: int) -> Iterator[tuple[str, 
 
 def _compressed(n_rows: int, starts: np.ndarray, rows: np.ndarray, data: np.ndarray):
     """A sparse matrix of compressed columns, all of whose entries are in it."""
-    from scipy import sparse
-
     rows, n_entries = rows[: int(starts[-1])], int(starts[-1])
     require(not (np.r_[rows, starts] % 1).any(), "places in a sparse matrix must be whole numbers")
     places = rows.astype(np.int64), starts.astype(np.int64)

@@ -4,6 +4,7 @@ import csv
 import re
 from array import array
 from contextlib import suppress
+from datetime import UTC, datetime
 from io import BytesIO
 from itertools import chain, islice, pairwise, product
 from pathlib import Path
@@ -365,8 +366,6 @@ def _resolution(cells: list[str], largest: float, stamped: bool) -> float:
 
 def seconds_of(texts: list[str], file: str) -> tuple[float, np.ndarray]:
     """Midnight before the first time stamp [s since 1970], 0 without dates, and the seconds since."""
-    from datetime import UTC, datetime
-
     found = [STAMP.fullmatch(text) for text in texts]
     if None in found:
         raise ValueError(f"{file}: time stamps must be as the first, got {texts[found.index(None)]!r}.")
