@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pymc_features import _checks as checks
+from pymc_features._checks import require
 from pymc_features.io.formats import read_source
 from pymc_features.io.formats.libraries import is_source
 from pymc_features.io.reading.labels import QUANTITIES, SI, sensitivity_of, unit_factor
@@ -16,8 +17,7 @@ from pymc_features.io.reading.recording import Request, chosen, in_si
 if TYPE_CHECKING:
     import xarray as xr
 
-#: What makes no difference to how a file is read.
-NOT_OF_FILE = dict.fromkeys(("columns", "units", "quantity", "sensitivity", "scale", "delay", "anchors"))
+OF_FILE = Request._fields.index("columns")  # what is said before it tells how a file is read
 COMMON = "Sensors must have a common clock"
 REACH = 10  # samples by which gaps are wider once a channel is moved to other times
 #: What may be said of all sensors or of each on its own, and of each alone.
@@ -59,10 +59,8 @@ def read_channels(
     units : str or float, optional
         "g" (9.81 m/s^2), "mg", "m/s^2", "cm/s^2", "mm/s^2", "gal", "in/s^2" or "ft/s^2", or m/s^2 per file
         unit, positive; where headers such as ``acc [g]``, or MATLAB's ``units``, do not state it.
-    dt : float, optional
-        Sampling interval [s], positive; stated by the clock, or by MATLAB's ``dt`` or ``fs`` [Hz].
-    fs : float, optional
-        Sampling rate [Hz], in place of `dt`.
+    dt, fs : float, optional
+        Sampling interval [s] or rate [Hz], positive; stated by the clock, or by MATLAB's ``dt`` or ``fs``.
     clock : int, str or False, optional
         Column or variable with the times; by default time stamps, or one called t, time, date and so on, else
         a first column that runs forward. False: there is none, the files start together.
@@ -187,7 +185,7 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
         resample = checks.check_positive(resample, "resample", "Pass the sampling rate in Hz.")
     kept, names, measured, delays = {}, [], [], []
     for label, source, own in _sensors(files, columns, request, bool(resample)):
-        said = own._replace(**NOT_OF_FILE)
+        said = Request(*own[:OF_FILE])
         key = id(source) if is_source(source) else str(source), said
         recording = kept[key] = kept.get(key) or read_source(source, said)
         found = chosen(recording, own.columns)
@@ -210,9 +208,8 @@ def _read(files, columns, request: Request, resample) -> "xr.DataArray":
     # a clock is set back by whole samples unless it is resampled, and its history moved by the rest
     late, steps = np.array([(by or 0.0, one.dt) for by, one in zip(delays, measured, strict=True)]).T
     whole = late if resample else steps * np.rint(late / steps)
-    for k, by in enumerate(whole.tolist()):
-        if measured[k].start is not None:
-            measured[k] = measured[k]._replace(start=measured[k].start - by)
+    moved = zip(measured, whole.tolist(), strict=True)
+    measured = [one if one.start is None else one._replace(start=one.start - by) for one, by in moved]
     values, step, start = _resampled(measured, resample) if resample else _aligned(measured)
     quantities = [history.quantity for history in measured]
     sensors = _sensor_names(names, files, columns)
@@ -243,10 +240,9 @@ def _aligned(channels: list) -> tuple[np.ndarray, float, float]:
     starts, latest, _ = _common_span(channels)
     sizes = np.array([channel.values.size for channel in channels])
     if first.start is None:
-        if len(set(sizes)) > 1:
-            said = checks.listed([f"{channel.name} {channel.values.size}" for channel in channels])
-            what = f"the same number of samples, got {said}. Cut them to the same window first."
-            raise ValueError(f"Sensors without clocks must have {what}")
+        said = checks.listed([f"{channel.name} {channel.values.size}" for channel in channels])
+        what = f"the same number of samples, got {said}. Cut them to the same window first."
+        require(len(set(sizes)) == 1, f"Sensors without clocks must have {what}")
         return np.array([channel.values for channel in channels]), first.dt, 0.0
     dt = float(f"{np.mean([channel.dt for channel in channels]):.10g}")
     steps = int(np.rint((latest - first.start) / dt))  # of the first clock, to which the others are aligned
@@ -291,9 +287,8 @@ def _resampled(channels: list, rate: float) -> tuple[np.ndarray, float, float]:
 
     starts, start, stop = _common_span(channels)
     n_times = (stop - start) * rate * (1.0 + 1e-12) + 1.0
-    if not 2.0 <= n_times < checks.LARGEST_COUNT:
-        what = f"a rate that makes 2 samples or more of the {stop - start:.4g} s that all have in common"
-        raise ValueError(checks.message("resample", what, f"{rate:g} Hz"))
+    what = f"a rate that makes 2 samples or more of the {stop - start:.4g} s that all have in common"
+    require(2.0 <= n_times < checks.LARGEST_COUNT, checks.message("resample", what, f"{rate:g} Hz"))
     times = np.arange(int(n_times)) / rate
     found = []
     for begin, channel in zip(starts, channels, strict=True):
@@ -318,8 +313,7 @@ def _sensors(files, columns, request: Request, resampled: bool) -> list[tuple[st
             raise TypeError(checks.message("files", what, checks.shown(files)))
         names = [None] * len(sources)
     for name, some in (("files", sources), ("columns", picked)):
-        if some == []:
-            raise ValueError(f"`{name}` must name at least one, got none.")
+        require(some != [], f"`{name}` must name at least one, got none.")
     request = request._replace(columns=picked and [check_column(column, "columns") for column in picked])
     found = []
     for name, source in zip(names, sources, strict=True):
@@ -342,11 +336,9 @@ def _of_sensor(name, said: Mapping, request: Request, resampled: bool) -> Reques
     for key in [key for key in ("scale", "delay") if key in said]:
         own = own._replace(**{key: checks.check_number(said[key], key)})
         checks.check_finite(np.float64(said[key]), key)
-    if own.scale == 0.0:
-        raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
+    require(own.scale, f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
     if "anchors" in said:
-        if not resampled:
-            raise ValueError(f"`resample` must be given with `anchors` of {name!r}, got none. Pass it [Hz].")
+        require(resampled, f"`resample` must be given with `anchors` of {name!r}, got none. Pass it [Hz].")
         pairs = [checks.as_list(pair) or [] for pair in checks.as_list(said["anchors"]) or []]
         pairs = [[checks.check_number(value, "anchors") for value in pair] for pair in pairs]
         if [len(pair) for pair in pairs] != [2, 2] or not (np.diff(pairs, axis=0) > 0.0).all():
@@ -380,5 +372,5 @@ def _sensor_names(found, files, columns) -> list[str]:
             alone = not label or (len(found) == 1 and not named)
             names += own if alone else [f"{label} {name}" for name in own]
     said = f"{checks.listed(names)}. Pass `files` or `columns` as a mapping of names."
-    checks.require(len(set(names)) == len(names), f"Sensors must have different names, got {said}")
+    require(len(set(names)) == len(names), f"Sensors must have different names, got {said}")
     return names

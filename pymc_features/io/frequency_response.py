@@ -127,12 +127,10 @@ def read_frequency_response(
 
 
 def _must(holds, source: str, be: str, got, advice: str = "Export it again.") -> None:
-    """Refuse what a file holds."""
     checks.require(holds, f"{source} must {be}, got {got}. {advice}")
 
 
 def _read(path: Path, columns) -> list[Function]:
-    """The functions of a file."""
     if re.match(libraries.UNIVERSAL, path.read_bytes()):
         return _universal(path)
     if path.suffix.lower() not in (".mat", ".h5", ".hdf5", ".npz"):
@@ -225,7 +223,6 @@ def _of_arrays(path: Path, arrays: dict) -> list[Function]:
 
 
 def _is_frequency(name: str) -> bool:
-    """Whether a label is that of frequencies."""
     return name.lower() == "f" or role_of(name) == "frequency"
 
 

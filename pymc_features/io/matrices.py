@@ -93,9 +93,8 @@ def _assembled(path: Path, entries: np.ndarray, shape=None, sign=None, labels=()
     if max(shape) > max(path.stat().st_size, MOST_ROWS):
         check_size(path, [8 * size for size in shape])
     wrong = ((places != np.rint(places)) | (places < 1) | (places > shape)).any(axis=1)
-    if wrong.any():
-        what = f"from 1 to {shape[0]} and {shape[1]}, got {places[wrong][0].tolist()}"
-        raise ValueError(f"{path.name}: rows and columns must be {what}. Export it again.")
+    what = f"from 1 to {shape[0]} and {shape[1]}, got {next(iter(places[wrong].tolist()), None)}"
+    require(not wrong.any(), f"{path.name}: rows and columns must be {what}. Export it again.")
     rows, columns = (places - 1).astype(np.int64).T
     values, off = entries[:, 2], rows != columns
     problem = ""
@@ -208,8 +207,7 @@ def read_matrices(path: str | PathLike) -> Matrices:
     """
     path = check_file(path)
     reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        raise ValueError(f"`path` must end in {', '.join(READERS)}, got {path.name}. Export the matrices.")
+    require(reader, f"`path` must end in {', '.join(READERS)}, got {path.name}. Export the matrices.")
     try:
         found = reader(path)
     except Exception as error:  # each damaged file fails in its own way, inside the parsers

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pymc_features._checks import as_list, message, shown, step_or_rate, warn_caller
+from pymc_features._checks import as_list, message, require, shown, step_or_rate, warn_caller
 from pymc_features.io.channels import check_column, checked
 from pymc_features.io.formats import read_source
 from pymc_features.io.reading.labels import G, role_of, unit_of
@@ -42,13 +42,9 @@ def read_record(
         UNAM, with the extra `seismic` SAC, MiniSEED, TSPAIR and SLIST, with the extra `modal` Universal Files
         (data sets 58), MATLAB (``.mat``, also v7.3), or text, columns of numbers separated by comma,
         semicolon, tab or blanks. One column is the acceleration, two are time [s] and acceleration.
-    units : str or float, optional
-        As of `read_channels`; formats of strong motion state it too.
-    dt : float, optional
-        Sampling interval [s], positive; as of `read_channels`, and formats of strong motion state it too.
-        Films digitised at uneven times need it: their values are joined by straight lines.
-    fs : float, optional
-        Sampling rate [Hz], in place of `dt`.
+    units, dt, fs
+        As of `read_channels`; formats of strong motion state them too. Films digitised at uneven times need
+        `dt`: their values are joined by straight lines.
     column : int or str, optional
         Which channel, column or MATLAB variable is the acceleration, by index from 0 or name, if there are
         several. An (N, 2) MATLAB matrix is time and acceleration.
@@ -87,9 +83,8 @@ def read_record(
     columns = None if column is None else [check_column(column, "column")]
     recording = read_source(path, request, "path")
     found = chosen(recording, columns, "column")
-    if len(found) > 1:
-        held = f"{named(found)}. Pass the name or the index (from 0) of one."
-        raise ValueError(f"`column` must be given, {recording.file} has the channels {held}")
+    held = f"{named(found)}. Pass the name or the index (from 0) of one."
+    require(len(found) == 1, f"`column` must be given, {recording.file} has the channels {held}")
     motion = in_si(found[0], request, recording)
     if (peak := np.abs(motion.values).max()) > LARGEST:
         from pymc_features.signals.check import implausible  # a second to import
@@ -122,10 +117,8 @@ def read_cyclic_test(
         "kip", or N per file unit. Headers such as ``drift [mm]`` state them.
     dt : float
         Interval of the samples [s], positive; it labels axes and nothing else.
-    skip : int
-        Rows left out at the start.
-    wrapped : bool, optional
-        As of `read_record`.
+    skip, wrapped
+        As of `read_channels`.
 
     Returns
     -------
@@ -167,10 +160,9 @@ def read_cyclic_test(
         asked = request._replace(units=unit, quantity=kind)
         found.append(in_si(channel, asked, recording._replace(file=f"{recording.file}, {kind}")).values)
     displacement, force = found
-    if displacement.size != force.size:
-        sizes = f"{displacement.size} in {recordings[0].file} and {force.size} in {recordings[-1].file}"
-        what = f"as many displacements as forces, got {sizes}"
-        raise ValueError(f"`files` must have {what}. Cut them to the same rows.")
+    sizes = f"{displacement.size} in {recordings[0].file} and {force.size} in {recordings[-1].file}"
+    what = f"as many displacements as forces, got {sizes}"
+    require(displacement.size == force.size, f"`files` must have {what}. Cut them to the same rows.")
     test = CyclicTest(displacement, request.dt, name=Path(recordings[0].file).stem)
     coords = {"sensor": ["force"], "time": ("time", test.time, {"units": "s"})}
     return test, xr.DataArray(force[None], coords, ("sensor", "time"), "restoring_force", {"units": "N"})
@@ -178,9 +170,8 @@ def read_cyclic_test(
 
 def pair(value, name: str, what: str) -> list:
     """Two entries, of the displacement and of the force."""
-    listed = as_list(value)
-    if listed is None or isinstance(value, str) or len(listed) != 2:
-        raise ValueError(message(name, f"two for displacement and force ({what})", shown(value)))
+    listed = [] if isinstance(value, str) else as_list(value) or []
+    require(len(listed) == 2, message(name, f"two for displacement and force ({what})", shown(value)))
     return listed
 
 

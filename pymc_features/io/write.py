@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pymc_features._checks import check_path, message
+from pymc_features._checks import check_path, message, require
 from pymc_features.io.formats.libraries import AXES, TYPES
 from pymc_features.io.reading.labels import SI
 from pymc_features.io.reading.lines import by_library
@@ -34,10 +34,8 @@ def write_channels(channels: "xr.DataArray", path: str | PathLike) -> None:
 
     Raises
     ------
-    ValueError, TypeError
-        If these are no channels, the ending is another, or a name does not fit the format.
-    ImportError
-        If the path is a Universal File and pyuff is not installed.
+    ValueError, TypeError, ImportError
+        If these are no channels, the ending is another, a name does not fit the format, or pyuff is missing.
 
     Examples
     --------
@@ -77,15 +75,13 @@ def _write_csv(path, names, units, channels, step: float) -> None:
 
 
 def _write_universal(path, names, units, channels, step: float) -> None:
-    if channels.isnull().any():
-        raise ValueError(f"`channels` must be without gaps for {path.name}, got NaN. Write CSV.")
+    require(channels.notnull().all(), f"`channels` must be without gaps for {path.name}, got NaN. Write CSV.")
     times = float(channels.attrs.get("start", 0.0)) + step * np.arange(channels.sizes["time"])
     sets = []
     for name, unit, values in zip(names, units, channels.values, strict=True):
         found = PLACE.fullmatch(name)
-        if found is None:
-            what = "named by node and direction, as 12Z, for a Universal File"
-            raise ValueError(message("channels", what, name, "Rename them, or write CSV."))
+        what = "named by node and direction, as 12Z, for a Universal File"
+        require(found, message("channels", what, name, "Rename them, or write CSV."))
         node, sign, axis = found.groups()
         even = int(float(f"{step:.5e}") == step and times[0] == 0.0)  # six digits
         of = {"type": 58, "binary": 1, "func_type": 1, "ref_node": 0, "ref_dir": 0, "ord_data_type": 4}

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from pymc_features import _checks as checks
+from pymc_features._checks import require
 from pymc_features.exceptions import ChannelWarning
 
 #: Warn at the line that called into this package from outside.
@@ -24,21 +25,19 @@ def check_array(channels, sensors: bool = False, name: str = "channels") -> xr.D
         what, got = "an xarray.DataArray (sensor, time)", type(channels).__name__
         raise TypeError(checks.message(name, what, got, "Read files with `read_channels`."))
     allowed = [("sensor", "time")] if sensors else [("sensor", "time"), ("time",)]
-    if channels.dims not in allowed:
-        what = f"have dimensions {' or '.join(map(str, allowed))}, got {channels.dims}"
-        raise ValueError(f"`{name}` must {what}. Transpose or rename them: time is the last.")
+    what = f"have dimensions {' or '.join(map(str, allowed))}, got {channels.dims}"
+    require(channels.dims in allowed, f"`{name}` must {what}. Transpose or rename them: time is the last.")
     if channels.dtype.kind not in "iuf":
         raise TypeError(f"`{name}` must hold numbers, got {channels.dtype}.")
-    if not channels.size:
-        raise ValueError(f"`{name}` must hold samples, got shape {channels.shape}.")
+    require(channels.size, f"`{name}` must hold samples, got shape {channels.shape}.")
     gaps = np.isnan(channels.values)
     checks.check_finite(np.where(gaps, 0.0, channels.values), name, "NaN is a gap.")
     if (silent := np.flatnonzero(gaps.all(axis=-1))).size:
         got = f"NaN alone in {str(sensor_names(channels)[silent[0]])!r}"
         raise ValueError(f"`{name}` must have samples of every sensor, got {got}. Leave it out.")
     names = [str(sensor) for sensor in channels["sensor"].values] if sensors else []
-    if len(set(names)) < len(names):
-        raise ValueError(f"`{name}` must have a name of its own for each sensor, got {', '.join(names)}.")
+    what = f"a name of its own for each sensor, got {', '.join(names)}"
+    require(len(set(names)) == len(names), f"`{name}` must have {what}.")
     return channels
 
 
@@ -61,9 +60,9 @@ def sampling_step(channels: xr.DataArray) -> float:
 
 def step_of(channels: xr.DataArray, name: str) -> float:
     """Sampling interval [s] of an array (..., time), which a message calls by a name."""
-    if "time" not in channels.coords or channels.sizes["time"] < 2:
-        got = f"{channels.sizes['time']} samples and coordinates {list(channels.coords)}"
-        raise ValueError(f"`{name}` must have a time coordinate [s] of at least 2 samples, got {got}.")
+    got = f"{channels.sizes['time']} samples and coordinates {list(channels.coords)}"
+    is_there = "time" in channels.coords and channels.sizes["time"] > 1
+    require(is_there, f"`{name}` must have a time coordinate [s] of at least 2 samples, got {got}.")
     time = channels["time"].values
     if time.dtype.kind not in "iuf":
         got = f"a time coordinate of type {time.dtype}. Pass seconds from the first sample"
@@ -71,9 +70,9 @@ def step_of(channels: xr.DataArray, name: str) -> float:
     time = time.astype(np.float64)
     step = (time[-1] - time[0]) / (time.size - 1)
     uneven = np.abs(time - time[0] - step * np.arange(time.size))
-    if not (step > 0.0 and uneven.max() <= 1e-3 * step):
-        vary = f"from {np.diff(time).min():.4g} s to {np.diff(time).max():.4g} s"
-        raise ValueError(f"`{name}` must be evenly sampled, their steps vary {vary}. Resample them first.")
+    vary = f"their steps vary from {np.diff(time).min():.4g} s to {np.diff(time).max():.4g} s"
+    is_even = step > 0.0 and uneven.max() <= 1e-3 * step
+    require(is_even, f"`{name}` must be evenly sampled, {vary}. Resample them first.")
     return float(f"{step:.10g}")
 
 
@@ -91,23 +90,21 @@ def check_window(channels: xr.DataArray, window, name: str = "window") -> tuple[
     first, last = check_pair(window, name, "two times (from, to) in seconds")
     begin, end = float(channels["time"][0]), float(channels["time"][-1])
     slack = 1e-6 * step
-    if not begin - slack <= first < last <= end + slack:
-        what = f"within the record, {begin:g} s to {end:g} s, and run forward, got ({first:g}, {last:g})"
-        raise ValueError(f"`{name}` must lie {what}. Times are those of the coordinate `time`.")
+    inside = begin - slack <= first < last <= end + slack
+    what = f"within the record, {begin:g} s to {end:g} s, and run forward, got ({first:g}, {last:g})"
+    require(inside, f"`{name}` must lie {what}. Times are those of the coordinate `time`.")
     low = int(np.ceil((first - begin) / step - 1e-6))
     high = int(np.floor((last - begin) / step + 1e-6)) + 1
-    if high - low < 2:
-        got = f"({first:g}, {last:g}) at a step of {step:g} s"
-        raise ValueError(f"`{name}` must hold at least 2 samples, got {got}.")
+    got = f"({first:g}, {last:g}) at a step of {step:g} s"
+    require(high - low > 1, f"`{name}` must hold at least 2 samples, got {got}.")
     return low, high
 
 
 def check_frequency(value, name: str, nyquist: float) -> float:
     """A frequency [Hz] between 0 and half the sampling rate."""
     frequency = checks.check_number(value, name, "Pass a frequency in Hz.")
-    if not 0.0 < frequency < nyquist:
-        what = f"between 0 and {nyquist:g} Hz, half the sampling rate, got {frequency:g}"
-        raise ValueError(f"`{name}` must lie {what}.")
+    what = f"between 0 and {nyquist:g} Hz, half the sampling rate, got {frequency:g}"
+    require(0.0 < frequency < nyquist, f"`{name}` must lie {what}.")
     return frequency
 
 
@@ -115,8 +112,7 @@ def check_band(band, step: float) -> tuple[float, float]:
     """Two rising frequencies [Hz] below half the sampling rate."""
     edges = check_pair(band, "band", "two frequencies (from, to) in Hz")
     low, high = (check_frequency(edge, "band", 0.5 / step) for edge in edges)
-    if not low < high:
-        raise ValueError(f"`band` must rise, got ({low:g}, {high:g}) Hz.")
+    require(low < high, f"`band` must rise, got ({low:g}, {high:g}) Hz.")
     return low, high
 
 
@@ -206,21 +202,15 @@ def detrend(
     array([-0.5,  0.5,  2.5])
     """
     checks.check_choice(kind, "kind", ("constant", "linear"))
-    step = sampling_step(channels)
+    step, values = sampling_step(channels), channels.values.astype(np.float64)
     low, high = (0, channels.sizes["time"]) if window is None else check_window(channels, window)
-    # about the middle of the window, in units of its half: offset and slope are then orthogonal
-    place = (np.arange(channels.sizes["time"]) - (low + high - 1) / 2.0) / max((high - low) / 2.0, 1.0)
-    powers = place ** np.arange(1 + (kind == "linear"))[:, None]  # (power, time)
-    values = channels.values.astype(np.float64)
-    whole, gaps = (np.atleast_2d(x) for x in filled(values))
-    fit = np.linalg.lstsq(powers[:, low:high].T, whole[:, low:high].T)[0]
-    for i in np.flatnonzero(gaps.any(axis=1)):
-        known = low + np.flatnonzero(~gaps[i, low:high])
-        if known.size < 2:
-            got = f"{known.size} of channel {i}, which has a gap there. Choose another"
-            raise ValueError(f"`window` must hold at least 2 samples of every channel, got {got}.")
-        fit[:, i] = np.linalg.lstsq(powers[:, known].T, whole[i, known])[0]
-    return rebuilt(channels, values - (fit.T @ powers).reshape(values.shape), step)
+    for i, history in enumerate(np.atleast_2d(values)):
+        known = low + np.flatnonzero(~np.isnan(history[low:high]))
+        got = f"{known.size} of channel {i}, which has a gap there. Choose another"
+        require(known.size > 1, f"`window` must hold at least 2 samples of every channel, got {got}.")
+        fit = np.polynomial.Polynomial.fit(known, history[known], int(kind == "linear"))
+        history -= fit(np.arange(history.size))
+    return rebuilt(channels, values, step)
 
 
 def band_pass(
@@ -255,18 +245,16 @@ def band_pass(
 
     step = sampling_step(channels)
     named = {name: corner for name, corner in (("low", low), ("high", high)) if corner is not None}
-    if not named:
-        raise ValueError("`low` or `high` must be given, got neither. Pass corner frequencies in Hz.")
+    require(named, "`low` or `high` must be given, got neither. Pass corner frequencies in Hz.")
     corners = [check_frequency(corner, name, 0.5 / step) for name, corner in named.items()]
     if len(corners) == 2 and not corners[0] < corners[1]:
         raise ValueError(f"`low` must be below `high`, got {corners[0]:g} and {corners[1]:g} Hz.")
     order = checks.check_integer(order, "order", most=HIGHEST)
     kind = "bandpass" if len(corners) == 2 else "lowpass" if low is None else "highpass"
     sections = signal.butter(order, np.squeeze(corners), kind, output="sos", fs=1.0 / step)
-    shortest = 3 * (2 * len(sections) + 1)
-    if channels.sizes["time"] <= shortest:
-        what = f"more than {shortest} samples for this filter, got {channels.sizes['time']}"
-        raise ValueError(f"`channels` must have {what}. Lower `order`, or filter before trimming.")
+    shortest, n_times = 3 * (2 * len(sections) + 1), channels.sizes["time"]
+    what = f"more than {shortest} samples for this filter, got {n_times}"
+    require(n_times > shortest, f"`channels` must have {what}. Lower `order`, or filter before trimming.")
     try:
         values, gaps = filled(channels.values.astype(float))
         filtered = signal.sosfiltfilt(sections, values)
@@ -310,9 +298,8 @@ def decimate(channels: xr.DataArray, factor: int) -> xr.DataArray:
     values, gaps = filled(channels.values.astype(np.float64))
     if factor > 1:
         length = 2 * _HALF_LENGTH * factor + 1
-        if values.shape[-1] < length:
-            what = f"at least {length} samples to be decimated by {factor}, got {values.shape[-1]}"
-            raise ValueError(f"`channels` must have {what}. Decimate before trimming.")
+        what = f"at least {length} samples to be decimated by {factor}, got {values.shape[-1]}"
+        require(values.shape[-1] >= length, f"`channels` must have {what}. Decimate before trimming.")
         window = signal.firwin(length, _CORNER / factor, window=("kaiser", _KAISER))
         values = signal.resample_poly(values, 1, factor, axis=-1, window=window, padtype="line")
         gaps = widened(gaps, _HALF_LENGTH * factor)[..., ::factor]
@@ -360,13 +347,11 @@ def correct(
     scale = checks.single(scale)
     scale = dict.fromkeys(names, scale) if checks.is_number(scale) else scale
     for name, factor in _by_sensor(scale, "scale", names).items():
-        if factor == 0.0:
-            raise ValueError(f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
+        require(factor, f"`scale` must not be zero, got 0 for {name!r}. Leave the sensor out instead.")
         values[names.index(name)] *= factor
     for name, late in _by_sensor(delay, "delay", names).items():
-        if abs(late) > most:
-            what = f"at most a quarter of the record, {most:.4g} s, got {late:g} s for {name!r}"
-            raise ValueError(f"`delay` must be {what}. Cut the files to the same time instead.")
+        what = f"at most a quarter of the record, {most:.4g} s, got {late:g} s for {name!r}"
+        require(abs(late) <= most, f"`delay` must be {what}. Cut the files to the same time instead.")
         samples, nearest = late / step, round(late / step)
         whole, gaps = filled(values[names.index(name)])
         moved = earlier(whole, samples)

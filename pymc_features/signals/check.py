@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import check_share
+from pymc_features._checks import check_share, require
 from pymc_features.signals.channels import check_array, filled, sampling_step, sensor_names, warn_channel
 from pymc_features.signals.spectra import base_index, low_frequency_gains
 
@@ -40,12 +40,8 @@ def check_channels(
 
     Parameters
     ----------
-    channels : xarray.DataArray (sensor, time)
-        Measured channels [m/s^2], base among them.
-    band : tuple of float
-        (from, to) [Hz]: where the base moves, and not above half of the first natural frequency.
-    base : str or int, optional
-        Name of the base, the first sensor by default.
+    channels, band, base
+        As of `low_frequency_gains`, in m/s^2, the base among the channels.
     damping_ratio : float
         The largest expected, positive; its share of a lag is not reported.
 
@@ -142,9 +138,9 @@ def check_each(channels: xr.DataArray) -> None:
     gaps = np.isnan(values)
     measured = [row[~missing] for row, missing in zip(values, gaps, strict=True)] if gaps.any() else values
     for name, history in zip(names, measured, strict=True):
-        if not history.size or history.max() == history.min():
-            same = f"all its {history.size} samples are {history[:1].sum():g}"
-            raise ValueError(f"Channel {name} must move, {same}. Leave it out.")
+        same = f"all its {history.size} samples are {history[:1].sum():g}"
+        moves = history.size and history.max() > history.min()
+        require(moves, f"Channel {name} must move, {same}. Leave it out.")
     with np.errstate(over="ignore", invalid="ignore"):  # implausible peaks may be as large as numbers get
         for name, history in zip(names, measured, strict=True):
             for suspicion in _suspicions(history):

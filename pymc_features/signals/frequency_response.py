@@ -11,13 +11,13 @@ the mean over lines of |Y - H1 X|^2 / (N (1 - c X^H S_xx^-1 X)), of which the br
 
 import numpy as np
 import xarray as xr
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
 from pymc_features import _checks as checks
 from pymc_features._checks import message, require
 from pymc_features.signals.channels import check_array, check_band, step_of, warn_channel
 from pymc_features.signals.check import flat_tops
+from pymc_features.signals.spectra import windowed_spectra
 
 EXCITATIONS = {"N": "force", "m/s^2": "base"}  # by units, as the next; the first of bare arrays
 QUANTITIES = {"m/s^2": "accelerance", "m/s": "mobility", "m": "receptance"}
@@ -150,7 +150,7 @@ def frequency_response(
     require(lines.any(), message("band", what, f"({low:g}, {high:g})"))
     counts, estimates = [], []
     for k, used in enumerate(there):
-        X, Y = (_spectra(values[k, used], window)[..., lines] for values in (forces, motions))
+        X, Y = (windowed_spectra(values[k, used], window)[..., lines] for values in (forces, motions))
         counts.append(len(X))
         estimates.append(_estimate(X, Y, frequency[lines], method, factor, overlap, setups[k]))
     H, *rest = (np.concatenate(parts, axis=1) for parts in zip(*estimates, strict=True))
@@ -240,15 +240,6 @@ def _left_out(leave_out, setups, there, forces, motions, loud) -> np.ndarray:
     if says := [f"{word} {n} of {a!r} has {doubts[a, n]}" for a, n in doubts if (a, n) not in named]:
         warn_channel(f'Doubtful: {"; ".join(says)}. Leave them out by leave_out="doubtful", or by pairs.')
     return np.reshape([pair in named for pair in blows], there.shape)
-
-
-def _spectra(values: np.ndarray, window: np.ndarray) -> np.ndarray:
-    """Spectra (average, channel, line) of records (blow, channel, time), whole or in segments less mean."""
-    size = window.size
-    if window[0] == 0.0:  # of Hann
-        parts = sliding_window_view(values, size, axis=-1)[:, :, :: size - size // 2].swapaxes(1, 2)
-        values = (parts - parts.mean(-1, keepdims=True)).reshape(-1, values.shape[1], size)
-    return np.fft.rfft(values * window)
 
 
 def _estimate(X, Y, f, method, factor, overlap, place) -> tuple[np.ndarray, ...]:  # noqa: N803  of a line

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.lib.stride_tricks import sliding_window_view
 
-from pymc_features._checks import is_among, shown, single
+from pymc_features._checks import is_among, require, shown, single
 from pymc_features.signals.channels import check_array, check_band, sampling_step, sensor_names
 
 _SEGMENTS = 8  # at least, without overlap, so that a coherence means something
@@ -95,24 +95,21 @@ def base_index(channels: xr.DataArray, base) -> int:
     names = sensor_names(channels)
     if base is None:
         return 0
-    if not is_among(base, names):
-        listed = ", ".join(map(repr, map(str, names)))
-        raise ValueError(f"`base` must be one of the sensors {listed}, got {shown(base)}.")
+    what = f"one of the sensors {', '.join(map(repr, map(str, names)))}, got {shown(base)}"
+    require(is_among(base, names), f"`base` must be {what}.")
     return names.index(single(base))
 
 
 def _compare(x, y, step, band, size) -> tuple[float, float, float, float, float]:
     """Gain, its error, lag, its error and coherence of y (time,) against x (time,)."""
-    from scipy import signal  # a second to import
-
     shift, sign = _whole_lag(x, y, step, band)
     x, y = (x[: x.size - shift], y[shift:]) if shift >= 0 else (x[-shift:], y[:shift])
     size = min(size, x.size)
     frequencies = np.fft.rfftfreq(size, step)
     inside = (frequencies >= band[0]) & (frequencies <= band[1])
-    window, omega = signal.windows.hann(size, sym=False), 2.0 * np.pi * frequencies[inside]
-    parts = [sliding_window_view(z, size)[:: size - size // 2] for z in (x, y)]
-    at_x, at_y = (np.fft.rfft(window * signal.detrend(z, type="constant"))[:, inside] for z in parts)
+    omega = 2.0 * np.pi * frequencies[inside]
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi / size * np.arange(size))  # of Hann
+    at_x, at_y = windowed_spectra(np.array([[x, y]]), window)[..., inside].swapaxes(0, 1)
     terms = sign * np.conj(at_x) * at_y, np.abs(at_x) ** 2, np.abs(at_y) ** 2
     cross, power_x, power_y = (z.sum(axis=0) for z in terms)
     rest, weights, scatter, coherence = _lag(cross, power_x, power_y, omega, x.size / size)
@@ -126,6 +123,15 @@ def _compare(x, y, step, band, size) -> tuple[float, float, float, float, float]
     gain_error, lag_error = abs(gain) * np.sqrt(gain_variance), np.sqrt(lag_variance)
     mean_coherence = (coherence * power_x).sum() / power_x.sum()
     return sign * gain, gain_error, shift * step + rest, lag_error, mean_coherence
+
+
+def windowed_spectra(values: np.ndarray, window: np.ndarray) -> np.ndarray:
+    """Spectra (average, channel, line) of records (blow, channel, time), whole or in segments less mean."""
+    size = window.size
+    if window[0] == 0.0:  # of Hann
+        parts = sliding_window_view(values, size, axis=-1)[:, :, :: size - size // 2].swapaxes(1, 2)
+        values = (parts - parts.mean(-1, keepdims=True)).reshape(-1, values.shape[1], size)
+    return np.fft.rfft(values * window)
 
 
 def _lag(cross, power_x, power_y, omega, n) -> tuple[np.ndarray, ...]:

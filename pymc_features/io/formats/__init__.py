@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from pymc_features._checks import check_file
+from pymc_features._checks import check_file, require
 from pymc_features.io.formats import libraries
 from pymc_features.io.formats.matlab import read_matlab
 from pymc_features.io.formats.strong_motion import LAYOUTS, read_strong_motion
@@ -52,14 +52,12 @@ def read_source(source, request: Request, name: str = "files") -> Recording:
     path = check_file(source, name)
     opening = Opening.of(path)
     entry = next(entry for entry in FORMATS if opening.begins(entry.begins))
-    if request.wrapped is not None and entry is not TEXT:
-        said = f"got {request.wrapped}. It is a {entry.name} file, whose layout is known."
-        raise ValueError(f"`wrapped` must be None for {path.name}, {said}")
+    said = f"got {request.wrapped}. It is a {entry.name} file, whose layout is known."
+    require(request.wrapped is None or entry is TEXT, f"`wrapped` must be None for {path.name}, {said}")
     try:
         found = entry.read(path, request)
     except (ArithmeticError, LookupError, MemoryError, TypeError, UnicodeError) as error:
         said = f"it cannot be read ({error}). Fetch it again."
         raise ValueError(f"{path.name} must be a whole {entry.name} file, {said}") from error
-    if not found.channels:
-        raise ValueError(f"{path.name} ({entry.name}) must hold an acceleration, none was found.")
+    require(found.channels, f"{path.name} ({entry.name}) must hold an acceleration, none was found.")
     return found

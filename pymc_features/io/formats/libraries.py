@@ -19,18 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks import listed, message, shown, warn_caller
+from pymc_features._checks import listed, message, require, shown, warn_caller
 from pymc_features.io.reading.labels import Label, role_of, unit_of
 from pymc_features.io.reading.lines import Lines, by_library, to_count, to_number, warn_of_widths
-from pymc_features.io.reading.recording import (
-    Channel,
-    Columns,
-    Opening,
-    Recording,
-    Request,
-    even_or_times,
-    recording_of,
-)
+from pymc_features.io.reading.recording import Channel, Columns, Opening, Recording, Request, recording_of
 
 NAME = "Universal File"
 FUNCTIONS = "58"  # the data set of measured functions
@@ -78,9 +70,8 @@ def numbers_of(found: dict, source: str) -> tuple[np.ndarray, np.ndarray]:
     values, x, n = np.asarray(found["data"]), np.asarray(found["x"], dtype=np.float64), found["num_pts"]
     if n < values.size < n + 6 and not values[n:].any():  # zeros fill the last line of six up
         values, x = values[:n], x[:n]
-    if values.size != n or x.size != n or n < 2 or not np.isfinite(x).all():
-        what = f"the {n} samples of its header must be there, got {values.size}"
-        raise ValueError(f"{source}: {what}. Fetch it again.")
+    what = f"the {n} samples of its header must be there, got {values.size}"
+    require(values.size == x.size == n > 1 and np.isfinite(x).all(), f"{source}: {what}. Fetch it again.")
     if found["binary"]:  # numbers must reach to the end of the data set
         order, single = found["byte_ordering"], found["ord_data_type"] in (2, 5)
         last = np.array(values[-1:]).view(np.float64)[-1:]
@@ -103,9 +94,8 @@ def read_universal(path: Path, request: Request) -> Recording:
     """All time histories of a file, named by node and direction; why one that is spoilt cannot be taken."""
     _check_text(path, path.read_bytes())
     kinds, sets = universal_sets(path)
-    if not sets:
-        held = f"the data sets {listed(list(dict.fromkeys(kinds)))[:200]}. Read modes by `read_modal`."
-        raise ValueError(f"{path.name} ({NAME}) must hold time histories in data sets 58, got {held}")
+    held = f"the data sets {listed(list(dict.fromkeys(kinds)))[:200]}. Read modes by `read_modal`."
+    require(sets, f"{path.name} ({NAME}) must hold time histories in data sets 58, got {held}")
     if odd := [kind for kind in dict.fromkeys(kinds) if kind not in KNOWN]:
         warn_caller(f"{path.name}: the data sets {listed(odd)} are of no known type. Is a digit of one lost?")
     channels = []
@@ -130,11 +120,10 @@ def _history(name: str, found: dict, source: str) -> Channel:
         raise ValueError(f"{source}: functions must be time histories, type 1, {got}")
     values, times = numbers_of(found, source)
     clock = unit_of(label := unit_on(found, "abscissa") or "s", "time")
-    if clock is None:
-        raise ValueError(f"{source}: times must be in a unit of time, got {label!r}. Export seconds.")
+    require(clock, f"{source}: times must be in a unit of time, got {label!r}. Export seconds.")
     times = clock.factor * times
     quantum = 1e-5 * float(np.abs(times).max())  # six digits are printed
-    spacing = even_or_times(times, quantum, lambda row: f"{source}: sample {row}")
+    spacing = Channel.spacing(times, quantum, lambda row: f"{source}: sample {row}")
     quantity = QUANTITY_OF_TYPE.get(kind := found["ordinate_spec_data_type"], f"data of type {kind}")
     unit, values = unit_on(found, "ordinate") or None, values.astype(np.float64)
     return Channel(name, values, unit, **spacing, start=float(times[0]), quantity=quantity)
@@ -207,9 +196,8 @@ def read_waveforms(path: Path, request: Request) -> Recording:
     if kind in ("TSPAIR", "SLIST"):  # ObsPy reads files with another number of values than they announce
         counts = re.findall(rb"(?m)^TIMESERIES [^,]*,\s*(\d{1,12})(?![^\s,])", path.read_bytes())
         announced, found = sum(map(int, counts)), sum(trace.data.size for trace in stream)
-        if found != announced:
-            what = f"the {announced} samples of its headers, got {found}"
-            raise ValueError(f"{path.name} ({kind}) must hold {what}. Fetch the file again.")
+        what = f"the {announced} samples of its headers, got {found}"
+        require(found == announced, f"{path.name} ({kind}) must hold {what}. Fetch the file again.")
     steps = stamped_steps(path, stream) if kind == "MSEED" else {}
     return Recording(path.name, channels_of(stream, f"{path.name} ({kind})", steps))
 
@@ -347,15 +335,17 @@ def _of_array(array) -> list[Channel]:
         place = _clock("the DataArray", times, unit, origin + float(array.attrs.get("start", 0.0)))
     units = np.asarray(whole.coords.get("units", array.attrs.get("units")), dtype=object)
     rows = zip(whole["sensor"].values, whole.values, np.broadcast_to(units, len(whole)), strict=True)
-    return [_channel(name, row, unit, **place) for name, row, unit in rows]
+    return [
+        Channel(str(name), row.astype(np.float64), None if unit is None else str(unit), **place)
+        for name, row, unit in rows
+    ]
 
 
 def _of_dict(entry: Mapping) -> Channel:
     """A channel by SEP005, proposal 5 of the Structural Health Monitoring community's `sdypy`."""
-    missing = [key for key in SEP005 if key not in entry]
-    if missing or not ("fs" in entry or "time" in entry):
-        held = f"got one with {listed(list(entry))}. Complete it."
-        raise ValueError(f"`files` must be dicts with {', '.join(SEP005)} and `fs` or `time`, {held}")
+    whole = {*SEP005} <= {*entry} and ("fs" in entry or "time" in entry)
+    held = f"got one with {listed(list(entry))}. Complete it."
+    require(whole, f"`files` must be dicts with {', '.join(SEP005)} and `fs` or `time`, {held}")
     start, name = entry.get("start_timestamp"), entry["name"]
     if isinstance(start, str):
         try:
@@ -367,13 +357,8 @@ def _of_dict(entry: Mapping) -> Channel:
     place = {"dt": 1.0 / float(entry["fs"]) if "fs" in entry else None, "start": start}
     if entry.get("time") is not None:
         place = _clock(name, entry["time"], "s", start or 0.0, place["dt"])
-    return _channel(name, entry["data"], entry["unit_str"], **place)
-
-
-def _channel(name, values, unit, **place) -> Channel:
-    """A channel of anything that holds numbers, in a unit or in None that is stated."""
-    unit = None if unit is None else str(unit)
-    return Channel(str(name), np.asarray(values, dtype=np.float64), unit, **place)
+    unit = None if entry["unit_str"] is None else str(entry["unit_str"])
+    return Channel(str(name), np.asarray(entry["data"], dtype=np.float64), unit, **place)
 
 
 def _clock(name, times, unit: str, start: float, dt: float | None = None) -> dict[str, float]:

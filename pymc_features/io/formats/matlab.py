@@ -17,8 +17,10 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from scipy import sparse
+from scipy.io import loadmat, whosmat
 
-from pymc_features._checks import listed
+from pymc_features._checks import listed, require
 from pymc_features.io.reading.labels import Label, role_of, unit_of
 from pymc_features.io.reading.lines import check_size, most_bytes, shortened, to_number
 from pymc_features.io.reading.recording import Channel, Columns, Recording, Request, recording_of
@@ -45,15 +47,12 @@ def load_variables(path: Path) -> dict[str, np.ndarray]:
             return _load_hdf5(path)
         raw = memoryview(path.read_bytes())
         if 0 in raw[:4]:  # version 4, of which SciPy's reader is in Python; the header of version 5 is text
-            from scipy.io import loadmat, whosmat
-
             pairs = loadmat(BytesIO(raw), spmatrix=False).items()
             names = [name for name, *_ in whosmat(BytesIO(raw))]
         else:
             pairs = [*_read_5(path, raw)]
             names = [name for name, _ in pairs if "." not in name]
-        if len(set(names)) < len(names):
-            raise ValueError("a variable is there twice")
+        require(len(set(names)) == len(names), "a variable is there twice")
         return {name: value for name, value in pairs if name and not name.startswith("__")}
     except Exception as error:  # each damaged file fails in its own way
         kind = "a MATLAB .mat" if path.suffix.lower() == ".mat" else "an HDF5"
@@ -72,12 +71,10 @@ def _read_5(path: Path, raw: memoryview) -> Iterator[tuple[str, np.ndarray]]:
             while part and len(whole) <= left:
                 whole += inflate.decompress(part, CHUNK)
                 part = inflate.unconsumed_tail
-            if not inflate.eof:
-                raise ValueError(f"an array is cut, or must not be larger than {most_bytes(path):.3g} bytes")
+            require(inflate.eof, f"an array is cut, or must not be larger than {most_bytes(path):.3g} bytes")
             left -= len(whole)
             kind, part = next(_elements(memoryview(whole), order, 1), (0, b""))
-        if kind != ARRAY:
-            raise ValueError(f"a variable must be an array, type {ARRAY}, got type {kind}")
+        require(kind == ARRAY, f"a variable must be an array, type {ARRAY}, got type {kind}")
         yield from _array_5([*_elements(part, order)], order, "", 0)
 
 
@@ -92,8 +89,7 @@ def _elements(raw: memoryview, order: str, multiple: int = 8) -> Iterator[tuple[
             raise ValueError(f"a part announces {size} bytes, what holds it ends before")
         yield word & 0xFFFF, raw[first : first + size]
         start += 8 + (0 if short else multiple * math.ceil(size / multiple))
-    if start < len(raw):
-        raise ValueError(f"{len(raw) - start} bytes are left at the end of a part")
+    require(start >= len(raw), f"{len(raw) - start} bytes are left at the end of a part")
 
 
 def _array_5(parts, order: str, prefix: str, depth: int) -> Iterator[tuple[str, np.ndarray]]:
@@ -129,11 +125,8 @@ def _array_5(parts, order: str, prefix: str, depth: int) -> Iterator[tuple[str, 
 
 def _compressed(n_rows: int, starts: np.ndarray, rows: np.ndarray, data: np.ndarray):
     """A sparse matrix of compressed columns, all of whose entries are in it."""
-    from scipy import sparse
-
     rows, n_entries = rows[: int(starts[-1])], int(starts[-1])
-    if (rows % 1 != 0).any() or (starts % 1 != 0).any():
-        raise ValueError("places in a sparse matrix must be whole numbers")
+    require(not (np.r_[rows, starts] % 1).any(), "places in a sparse matrix must be whole numbers")
     places = rows.astype(np.int64), starts.astype(np.int64)
     matrix = sparse.csc_array((data[:n_entries], *places), shape=(int(n_rows), starts.size - 1))
     matrix.check_format()
@@ -226,9 +219,8 @@ def read_matlab(path: Path, request: Request) -> Recording:
             found = recording_of(columns, request._replace(clock=clock)).channels
             of = (name for name, array in whole.items() for _ in range(array.size // n_times))
             channels += [channel._replace(label=name) for channel, name in zip(found, of, strict=True)]
-    if not channels:
-        held = listed([f"{name} {value.shape}" for name, value in sorted(variables.items())])
-        raise ValueError(f"{file} must hold histories of at least 2 samples, it holds {held}. Save vectors.")
+    held = listed([f"{name} {value.shape}" for name, value in sorted(variables.items())])
+    require(channels, f"{file} must hold histories of at least 2 samples, it holds {held}. Save vectors.")
     return Recording(file, channels, skipped=True)
 
 
@@ -273,8 +265,7 @@ def _stated(facts: Mapping, inside: str, file: str, dt: float | None) -> tuple[s
         if number > 0.0:
             in_si = number * unit.factor
             steps[name] = in_si if unit.quantity == "time" else 1.0 / in_si
-    if len(units) > 1:
-        raise ValueError(f"{file} contradicts itself, it states the units {listed(sorted(units))}.")
+    require(len(units) < 2, f"{file} contradicts itself, it states the units {listed(sorted(units))}.")
     steps = {name: step for name, step in steps.items() if name.rpartition(".")[0] == inside} or steps
     first = next(iter(steps.values()), None)
     if dt is None and not all(np.isclose(step, first, rtol=1e-3, atol=0.0) for step in steps.values()):

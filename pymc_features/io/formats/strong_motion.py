@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks import warn_caller
+from pymc_features._checks import require, warn_caller
 from pymc_features.io.reading.labels import unit_of
 from pymc_features.io.reading.lines import Lines, column_width, finite, to_count, to_number, warn_of_widths
-from pymc_features.io.reading.recording import Channel, Recording, Request, even_or_times
+from pymc_features.io.reading.recording import Channel, Recording, Request
 
 NO_SPECTRA = "the file must hold accelerations", "spectra (V3)", "Read the V2 file."
 KNET = "station code", "record time", "sampling freq(hz)", "duration time(s)", "dir"
@@ -41,8 +41,8 @@ TEXT_LINES, NUMBER_LINES = {1: 13, 2: 25}, {1: 14, 2: 20}  # by volume of CSMIP
 
 def positive(lines: Lines, value: float | None, what: str) -> float:
     """A number that the header must state."""
-    if value is None or not 0 < value < np.inf:
-        raise lines.error(f"the header must state {what}, a positive number", str(value))
+    holds = value is not None and 0 < value < np.inf
+    lines.require(holds, f"the header must state {what}, a positive number", str(value))
     return value
 
 
@@ -115,8 +115,7 @@ def read_at2(lines: Lines) -> Iterator[Channel]:
             first, last = first or number, number
         else:
             header.append(" ".join(line.split()))
-    if not values:
-        raise ValueError(f"{lines.title} must hold values below its header, none was found. Is it AT2?")
+    require(values, f"{lines.title} must hold values below its header, none was found. Is it AT2?")
     rows = enumerate(lines.whole[first - 1 : last], first)
     warn_of_widths(lines.title, ((number, row) for number, row in rows if row.strip()))
     text = "\n".join(header)
@@ -143,8 +142,8 @@ def read_esm(lines: Lines) -> Iterator[Channel]:
     n_times = positive(lines, to_count(facts.get("NDATA", "")), "NDATA")
     dt = positive(lines, to_number(facts.get("SAMPLING_INTERVAL_S", "")), "SAMPLING_INTERVAL_S")
     check_duration(lines, n_times, dt, to_number(facts.get("DURATION_S", "")), (1.5 * dt, 0.01))
-    if (kind := facts.get("DATA_TYPE", "")).upper() != "ACCELERATION":
-        raise lines.error("DATA_TYPE must be ACCELERATION", repr(kind), "Fetch the file of the acceleration.")
+    kind, advice = facts.get("DATA_TYPE", ""), "Fetch the file of the acceleration."
+    lines.require(kind.upper() == "ACCELERATION", "DATA_TYPE must be ACCELERATION", repr(kind), advice)
     values = lines.numbers(n_times, "values, NDATA")
     name, peak = facts.get("STREAM") or "acceleration", to_number(facts.get("PGA_CM/S^2", ""))
     whole, _, fraction = facts.get("DATE_TIME_FIRST_SAMPLE_YYYYMMDD_HHMMSS", "").partition(".")
@@ -175,8 +174,8 @@ def read_knet(lines: Lines) -> Iterator[Channel]:
                 found[label] = " ".join(words[n_words:])
     else:
         raise lines.error("line 17 must be the memo", repr(" ".join(words)[:60]))
-    if missing := [label for label in KNET if not found.get(label)]:
-        raise lines.error(f"the header must state {', '.join(missing)}", "nothing")
+    missing = [label for label in KNET if not found.get(label)]
+    lines.require(not missing, f"the header must state {', '.join(missing)}", "nothing")
     station, time, rate, duration, direction, scale, peak = (found[label] for label in KNET)
     rate = positive(lines, to_count(rate.lower().removesuffix("hz").strip()), "the sampling frequency")
     duration = positive(lines, to_number(duration), "the duration")
@@ -214,10 +213,9 @@ def read_unam(lines: Lines) -> Iterator[Channel]:
     directions = listed("ORIENTACION C1-C6", "ORIENTACION C7-C12")
     counts = {to_count(text) for text in listed("NUM. TOTAL DE MUESTRAS")}
     steps = {to_number(text) for text in listed("INTERVALO DE MUESTREO")}
-    if not directions or len(counts) != 1 or len(steps) != 1:
-        must = "the header must state orientations, one number of samples and one interval for all channels"
-        got = f"{len(directions)} orientations, {len(counts)} numbers, {len(steps)} intervals"
-        raise lines.error(must, got)
+    must = "the header must state orientations, one number of samples and one interval for all channels"
+    got = f"{len(directions)} orientations, {len(counts)} numbers, {len(steps)} intervals"
+    lines.require(directions and len(counts) == len(steps) == 1, must, got)
     n_times = positive(lines, counts.pop(), "the number of samples")
     dt = positive(lines, steps.pop(), "the interval")
     for text in listed("DURACION DEL REGISTRO"):  # a decimated file may state the step of the recorder
@@ -236,25 +234,24 @@ def _counted(lines: Lines, what: str, *words: str) -> tuple[int, str]:
     lines.peek()
     line = lines.take(what).lower()
     count = to_count(next(iter(line.split()), ""))
-    if count is None or not all(word in line for word in words):
-        raise lines.error(f"{what} must stand here")
+    is_here = count is not None and all(word in line for word in words)
+    lines.require(is_here, f"{what} must stand here")
     return count, line
 
 
 def _comments(lines: Lines, count: int) -> None:
-    if not all(line.lstrip().startswith("|") for line in lines.several(count, "comments")):
-        raise lines.error("a comment must begin with |", "another line")
+    begin = all(line.lstrip().startswith("|") for line in lines.several(count, "comments"))
+    lines.require(begin, "a comment must begin with |", "another line")
 
 
 def read_cosmos(lines: Lines) -> Iterator[Channel]:
     """COSMOS V0 to V2: text, integers, reals and comments above each series; accelerations are taken."""
     reals = np.zeros(0)
     while (line := lines.peek()) is not None:
-        if "(format v" not in line.lower():
-            raise lines.error("the next channel must begin with its format version", repr(line.strip()[:60]))
+        must = "the next channel must begin with its format version"
+        lines.require("(format v" in line.lower(), must, repr(line.strip()[:60]))
         first = lines.take("a channel").lower()
-        if "spectr" in first:
-            raise lines.error(*NO_SPECTRA)
+        lines.require("spectr" not in first, *NO_SPECTRA)
         n_text = to_count(next(iter(first.rpartition("with")[2].split()), ""))
         text = lines.several(positive(lines, n_text, "the number of text lines") - 1, "more lines of text")
         for kind, width in (("integer", 8), ("real", 13)):
@@ -272,8 +269,7 @@ def read_cosmos(lines: Lines) -> Iterator[Channel]:
                 continue
             what = "the number of points, their units and quantity, as acceleration,"
             n_times, line = _counted(lines, what, "units=")
-            if not any(word in line for word in QUANTITIES):
-                raise lines.error(f"{what} must stand here")
+            lines.require(any(word in line for word in QUANTITIES), f"{what} must stand here")
             values = lines.numbers(n_times, "values", column_width(line, 10))
             if "accel" not in line or "velocity" in line:
                 continue
@@ -290,10 +286,9 @@ def read_csmip(lines: Lines) -> Iterator[Channel]:
     while (line := lines.peek()) is not None:
         first = line.strip().lower()
         volume = next((v for v, begins in ((1, UNCORRECTED), (2, CORRECTED)) if first.startswith(begins)), 0)
-        if first.startswith(SPECTRA):
-            raise lines.error(*NO_SPECTRA)
-        if not volume and not first.startswith(("/&", "end")):
-            raise lines.error("a channel or its end must follow", repr(line.strip()[:60]))
+        lines.require(not first.startswith(SPECTRA), *NO_SPECTRA)
+        follows = volume or first.startswith(("/&", "end"))
+        lines.require(follows, "a channel or its end must follow", repr(line.strip()[:60]))
         text = lines.several(TEXT_LINES.get(volume, 1), "lines of text")
         # which repeat what text and the line above values say
         lines.several(NUMBER_LINES.get(volume, 0), "lines of numbers below the text")
@@ -318,10 +313,9 @@ def _volume_1(lines: Lines, text: list[str]) -> Channel:
     """Values at an even step, or pairs of time [s] and value that were digitised from film."""
     if "points" not in (lines.peek() or "").lower():
         n_pairs = positive(lines, number_after(text[10], "points"), "the number of points")
-        if n_pairs != round(n_pairs):
-            raise lines.error("the number of points must be whole", n_pairs)
+        lines.require(n_pairs == round(n_pairs), "the number of points must be whole", n_pairs)
         times, values = lines.numbers(2 * int(n_pairs), "times and values", 7).reshape(-1, 2).T
-        spacing = even_or_times(times, 1e-3, lambda row: lines.where())
+        spacing = Channel.spacing(times, 1e-3, lambda row: lines.where())
         unit = text[11].lower().partition(" and ")[2]
     else:
         count, line = _counted(lines, "the number of points, and their rate in pts/sec,", "pts/sec")
@@ -377,7 +371,7 @@ def read_smc(lines: Lines) -> Iterator[Channel]:
     else:
         times, values = values.reshape(-1, 2).T
         quantum = 10.0 ** (np.floor(np.log10(max(times[-1], 1e-9))) - 4)  # five digits are printed
-        spacing = even_or_times(times, quantum, lambda row: lines.where())
+        spacing = Channel.spacing(times, quantum, lambda row: lines.where())
     peak = max((abs(peak) for peak in peaks if peak is not None), default=None)
     yield channel(lines, name, values, "cm/s^2", peak, **spacing)
 

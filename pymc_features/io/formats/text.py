@@ -4,6 +4,7 @@ import csv
 import re
 from array import array
 from contextlib import suppress
+from datetime import UTC, datetime
 from io import BytesIO
 from itertools import chain, islice, pairwise, product
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pymc_features._checks import require
 from pymc_features.io.reading.labels import BRACKETS, WORD, Label, role_of, unit_of
 from pymc_features.io.reading.lines import Lines, finite, not_a_number, to_number
 from pymc_features.io.reading.recording import Columns, Recording, Request, clock_column, recording_of
@@ -58,7 +60,6 @@ class Layout(NamedTuple):
 
     @property
     def n_columns(self) -> int:
-        """Columns of the table."""
         return self.count - max(len(self.stamp) - 1, 0)
 
 
@@ -84,16 +85,15 @@ def _with_point(cell: str) -> str:
 
 def layout_of(line: str) -> Layout | None:
     """How a line is a row of numbers; None if it is none."""
-    for decimal in (".", ","):
-        for separator in SEPARATORS:
-            if separator == decimal or (decimal == "," and "," not in line):
-                continue
-            cells = without_ends(split(line, separator))
-            stamp = _stamp(cells) if ":" in line else ()
-            rest = [cell for k, cell in enumerate(cells) if k not in stamp]
-            rest = [_with_point(cell) for cell in rest] if decimal == "," else rest
-            if rest and all(to_number(cell) is not None for cell in reversed(rest)):
-                return Layout(separator, decimal, len(cells), stamp)
+    for decimal, separator in product(".,", SEPARATORS):
+        if separator == decimal or (decimal == "," and "," not in line):
+            continue
+        cells = without_ends(split(line, separator))
+        stamp = _stamp(cells) if ":" in line else ()
+        rest = [cell for k, cell in enumerate(cells) if k not in stamp]
+        rest = [_with_point(cell) for cell in rest] if decimal == "," else rest
+        if rest and all(to_number(cell) is not None for cell in reversed(rest)):
+            return Layout(separator, decimal, len(cells), stamp)
     return None
 
 
@@ -136,8 +136,7 @@ def read_columns(path: Path, request: Request) -> Columns:
         rows_in_line = layout.count / values.shape[1]
         labels, own = [Label("", "")] * values.shape[1], False
     values = values[request.skip :]
-    if len(values) < 2:
-        raise ValueError(f"{path.name} must hold at least 2 samples, got {len(values)}.")
+    require(len(values) > 1, f"{path.name} must hold at least 2 samples, got {len(values)}.")
 
     def where(row: int, column: int) -> str:
         line = int((row + request.skip) / rows_in_line)
@@ -184,8 +183,7 @@ def _header(lines: Lines) -> tuple[list[tuple[int, str, bool]], int, Layout]:
         header.append((number, line.lstrip("#%/ \t") if comment else line, comment))
         if len(header) == MOST_HEADER_LINES:
             break
-    if not header:
-        raise ValueError(f"{lines.file} must hold at least 2 samples, it is empty.")
+    require(header, f"{lines.file} must hold at least 2 samples, it is empty.")
     said = f"{'first ' * (len(header) == MOST_HEADER_LINES)}{len(header)} lines. "
     for (number, line, comment), separator in product(header, SEPARATORS):
         cells = without_ends(split(line, separator))
@@ -293,7 +291,6 @@ def _by_pandas(lines: Lines, start: int, first: str, layout: Layout) -> tuple[fl
     import pandas as pd  # half a second to import
 
     kinds = {k: str if k in layout.stamp else np.float64 for k in range(layout.count)}
-    plain = not layout.stamp and not first.endswith(layout.separator)  # no column of texts, nor an empty one
     stream = BytesIO(lines.raw)  # which is not copied
     stream.seek(start)
     frame = pd.read_csv(
@@ -301,7 +298,7 @@ def _by_pandas(lines: Lines, start: int, first: str, layout: Layout) -> tuple[fl
         sep=r"\s+" if layout.separator == " " else layout.separator,
         header=None,
         decimal=layout.decimal,
-        dtype=np.float64 if plain else kinds,
+        dtype=kinds,
         keep_default_na=False,
         skipinitialspace=f"{layout.separator} " in first,
         float_precision="round_trip" if int(pd.__version__.split(".")[0]) < 3 else None,
@@ -315,8 +312,7 @@ def _by_pandas(lines: Lines, start: int, first: str, layout: Layout) -> tuple[fl
         origin, seconds = seconds_of([joint.join(row) for row in zip(*texts, strict=True)], lines.file)
         frame.insert(layout.stamp[0], "seconds", seconds)
     values = np.array([frame[k] for k in frame], dtype=np.float64).T  # columns whole
-    if values.shape[1] != layout.n_columns or not np.isfinite(values).all():
-        raise ValueError("a row is not as the first")
+    require(values.shape[1] == layout.n_columns and np.isfinite(values).all(), "a row is not as the first")
     return origin, values
 
 
@@ -370,8 +366,6 @@ def _resolution(cells: list[str], largest: float, stamped: bool) -> float:
 
 def seconds_of(texts: list[str], file: str) -> tuple[float, np.ndarray]:
     """Midnight before the first time stamp [s since 1970], 0 without dates, and the seconds since."""
-    from datetime import UTC, datetime
-
     found = [STAMP.fullmatch(text) for text in texts]
     if None in found:
         raise ValueError(f"{file}: time stamps must be as the first, got {texts[found.index(None)]!r}.")
@@ -381,9 +375,8 @@ def seconds_of(texts: list[str], file: str) -> tuple[float, np.ndarray]:
             ways.append({d: datetime.strptime(d, form).replace(tzinfo=UTC).timestamp() for d in dates})
     # of two ways to read them the nearer dates
     days = min(ways, key=lambda way: max(way.values()) - min(way.values()), default={})
-    if dates and not days:
-        what = f"those of a calendar, all written alike, got {', '.join(dates[:3])}"
-        raise ValueError(f"{file}: dates must be {what}. Correct them.")
+    what = f"those of a calendar, all written alike, got {', '.join(dates[:3])}"
+    require(days or not dates, f"{file}: dates must be {what}. Correct them.")
     origin, seconds = min(days.values(), default=0.0), []
     for match in found:
         date, hour, minute, second, fraction, half, zone = match.groups()

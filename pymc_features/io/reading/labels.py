@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import SAMPLING_INTERVAL, check_positive, message, shown, warn_caller
+from pymc_features._checks import SAMPLING_INTERVAL, check_positive, message, require, shown, warn_caller
 
 #: Gravity [m/s^2] behind the unit "g", as reference results have it; who wants 9.80665 passes it as `units`.
 G = 9.81
@@ -189,9 +189,8 @@ def resolve_units(channel, request, source: str) -> float:
     known, voltage = unit_of(stated), request.sensitivity is not None
     if said is None and stated is None and not voltage and role_of(channel.name) in MEASURED:
         said, by = role_of(channel.name), "label"
-    if said not in (None, quantity):
-        what = f"the {by} {channel.name!r} says {said}. Pass the columns that are, or rename it."
-        raise ValueError(f"{source} must hold {PLURALS[quantity]}, {what}")
+    what = f"the {by} {channel.name!r} says {said}. Pass the columns that are, or rename it."
+    require(said in (None, quantity), f"{source} must hold {PLURALS[quantity]}, {what}")
     measured = "voltage" if voltage else quantity
     if known is not None and known.quantity != measured:
         volts = f'`sensitivity`, such as "100 mV/({next(iter(UNITS[quantity]))})"'

@@ -108,6 +108,11 @@ class Lines:
         got = repr(self.last.strip()[:80]) if got is None else got
         return ValueError(f"{self.where()}: {condition}, got {got}. {advice}")
 
+    def require(self, holds, condition: str, got=None, advice: str = "Fetch the file again.") -> None:
+        """Refuse what does not hold of the line that was taken last."""
+        if not holds:
+            raise self.error(condition, got, advice)
+
     def numbers(self, count: int, what: str, width=0, *, whole=False, per_line=0) -> np.ndarray:
         """Numbers (count,) from as many lines as it takes, between blanks or in columns, which may touch."""
         values, self.announced = array("d"), f"{count // (per_line or 1)} {what}"
@@ -116,9 +121,8 @@ class Lines:
             tokens = line.split()
             if width:
                 tokens = [line[start : start + width].lstrip() for start in range(0, len(line), width)]
-                if len(line) % width or not line:
-                    got = f"{len(line)} characters"
-                    raise self.error(f"values must fill columns of {width} characters", got)
+                fills, got = line and len(line) % width == 0, f"{len(line)} characters"
+                self.require(fills, f"values must fill columns of {width} characters", got)
                 per_line = per_line or len(tokens)
             last = width and len(values) + len(tokens) == count
             if per_line and not last and (len(tokens) % per_line if width else len(tokens) != per_line):

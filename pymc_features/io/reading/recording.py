@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import SAMPLING_INTERVAL, listed, shown, warn_caller
+from pymc_features._checks import SAMPLING_INTERVAL, listed, require, shown, warn_caller
 from pymc_features.io.reading.labels import NO_HISTORY, Label, resolve_dt, resolve_units, role_of, unit_of
 from pymc_features.io.reading.lines import decoded
 
@@ -30,7 +30,7 @@ class Request(NamedTuple):
     skip: int = 0
     wrapped: bool | None = None  # whether one series runs along the lines of a text file
     gaps: bool = False  # whether samples may be missing: NaN, empty cells, rows that a clock passes over
-    columns: list | None = None
+    columns: list | None = None  # from here on what makes no difference to how a file is read
     units: str | float | None = None
     quantity: str = "acceleration"
     sensitivity: str | float | None = None
@@ -81,6 +81,16 @@ class Channel(NamedTuple):
     hidden: bool = False  # whether it is no measurement unless it is asked for: a clock, numbers of samples
     problem: str = ""  # why its values cannot be taken, if it is asked for
 
+    @staticmethod
+    def spacing(times: np.ndarray, quantum: float, where: Callable[[int], str]) -> dict:
+        """The fields `dt` or `times` by printed times [s], of resolution `quantum` [s]."""
+        try:
+            return {"dt": even_clock(times, where, quantum)[0]}
+        except ValueError:
+            if not (np.diff(times) > 0.0).all():
+                raise
+            return {"times": times}
+
 
 class Recording(NamedTuple):
     """What a file holds."""
@@ -120,11 +130,10 @@ def chosen(recording: Recording, columns: list | None, argument: str = "columns"
                 matches = [channel for channel in matches if not channel.hidden] or matches
         elif column >= 0:
             matches = channels[column : column + 1]
-        if len(matches) != 1 and not rows:
-            raise ValueError(f"`{argument}` must be one of the channels {of}, got {shown(column)}. {hint}")
+        is_one = len(matches) == 1 or rows
+        require(is_one, f"`{argument}` must be one of the channels {of}, got {shown(column)}. {hint}")
         found += matches
-    if not found:
-        raise ValueError(f"`{argument}` must name a channel {of}, none is a measurement by its label. {hint}")
+    require(found, f"`{argument}` must name a channel {of}, none is a measurement by its label. {hint}")
     return found
 
 
@@ -135,8 +144,7 @@ def named(channels: Sequence[Channel]) -> str:
 
 def in_si(channel: Channel, request: Request, recording: Recording) -> Channel:
     """A channel in SI units at an even step, which messages call by its file."""
-    if channel.problem:
-        raise ValueError(channel.problem)
+    require(not channel.problem, channel.problem)
     file, skip = recording.file, 0 if recording.skipped else request.skip
     dt = resolve_dt(channel, request, file)
     factor = resolve_units(channel, request, file)
@@ -148,8 +156,7 @@ def in_si(channel: Channel, request: Request, recording: Recording) -> Channel:
         said = f"{missing.sum()} are, the first after {dt * at:.6g} s ({values[at]})"
         advice = "Cut the file to one side, or use `io.read_channels_with_gaps`."
         raise ValueError(f"{file}, {channel.name}: no samples may be missing, {said}. {advice}")
-    if values.size < 2:
-        raise ValueError(f"{file}, {channel.name}: at least 2 samples must be there, got {values.size}.")
+    require(values.size > 1, f"{file}, {channel.name}: at least 2 samples must be there, got {values.size}.")
     # a number of quite another size has a digit too many or too few in its exponent
     least = sizes.min(where=sizes > 0.0, initial=np.inf)
     alone = np.count_nonzero(sizes >= largest / ALONE) == 1
@@ -202,23 +209,12 @@ def even_clock(
     return float(f"{mean:.10g}"), numbers
 
 
-def even_or_times(times: np.ndarray, quantum: float, where: Callable[[int], str]) -> dict:
-    """The arguments `dt` or `times` of a `Channel` with printed times [s], of resolution `quantum` [s]."""
-    try:
-        return {"dt": even_clock(times, where, quantum)[0]}
-    except ValueError:
-        if not (np.diff(times) > 0.0).all():
-            raise
-        return {"times": times}
-
-
 def _interpolated(channel: Channel, dt: float, file: str) -> np.ndarray:
     """Values (time,) at an even step, on straight lines between those of the file."""
     times = channel.times - channel.times[0]
     n_times = int(times[-1] / dt * (1.0 + 1e-12)) + 1
-    if n_times > 100 * times.size:
-        what = f"got {dt:g} s for {times.size} values in {times[-1]:g} s. {SAMPLING_INTERVAL}"
-        raise ValueError(f"`dt` must not be a hundredth of the steps of {file}, {what}")
+    what = f"got {dt:g} s for {times.size} values in {times[-1]:g} s. {SAMPLING_INTERVAL}"
+    require(n_times <= 100 * times.size, f"`dt` must not be a hundredth of the steps of {file}, {what}")
     values = np.interp(dt * np.arange(n_times), times, channel.values)
     before, after = np.abs(channel.values).max(), np.abs(values).max(initial=0.0)
     if after < 0.99 * before:
@@ -269,10 +265,9 @@ def clock_column(columns: Columns, clock) -> int | None:
         texts = [label.text for label in columns.labels]
         asked = clock.strip() if isinstance(clock, str) else clock
         matches = {k for k, label in enumerate(columns.labels) if asked in (k, label.text, label.name)}
-        if len(matches) != 1:
-            known = listed(texts) if any(texts) else f"0 to {len(texts) - 1}"
-            said = f"got {shown(clock)}. Pass the index (from 0) or the header name of the times."
-            raise ValueError(f"`clock` must be one of the columns of {columns.file} ({known}), {said}")
+        known = listed(texts) if any(texts) else f"0 to {len(texts) - 1}"
+        said = f"got {shown(clock)}. Pass the index (from 0) or the header name of the times."
+        require(len(matches) == 1, f"`clock` must be one of the columns of {columns.file} ({known}), {said}")
         return matches.pop()
     if columns.stamp is not None:
         return columns.stamp
