@@ -23,6 +23,7 @@ ARGUMENTS = {
     "`draws` and `stage_draws`": "`sampler.draws`",
     "`draws` or `stage_draws`": "`sampler.draws`",
     "`stage_draws`": "`sampler.draws`",
+    "Increase `draws`,": "Increase `sampler.draws`,",
     "`runs`": "`external.emulate`",
     "sample with sample_smc()": "leave out `external.emulate`",
 }

@@ -18,13 +18,14 @@ from pymc_features.likelihoods import LIKELIHOODS, Likelihood
 from pymc_features.modal import ModalData, ModalFeature, match_modes, merge_setups, modes
 from pymc_features.modal.feature import checked_parameters
 from pymc_features.modal.files import read_modal
+from pymc_features.modal.files.nodes import read_nodes
 from pymc_features.modal.identified import identified
 from pymc_features.update.config.entries import Vector, evaluated
 from pymc_features.update.config.keys import named_key, refuse, shown
 from pymc_features.update.config.sections import Names, Section, key, parameters_of
 from pymc_features.update.kinds import base
 from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict, kinds_of, table
-from pymc_features.update.kinds.shapes import Points, mode_shapes, points_of, read_nodes
+from pymc_features.update.kinds.shapes import Points, mode_shapes, points_of
 from pymc_features.update.plausibility.findings import of_modes
 from pymc_features.update.templates.numbers import Scale, fixed
 
@@ -208,9 +209,9 @@ class Modal(KindOfData):
             )
         nodes = None
         if dofs and section.nodes is not None:
-            with named_key("modal.nodes"):
+            with named_key("modal", nodes="modal.nodes"):
                 channels = dict(zip(data.channels, dofs, strict=True))
-                nodes = read_nodes(folder / section.nodes, channels, structure.n_dof)
+                nodes = Points(*read_nodes(folder / section.nodes, channels, structure.n_dof))
         most = most_modes(structure)
         n_modes = min(most, n + SPARE) if section.n_modes is None else section.n_modes
         if not n <= n_modes <= most:
