@@ -18,8 +18,7 @@ from pymc_features.events import compare, hierarchical
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.keys import named_key, shown
 from pymc_features.update.kinds import KINDS
-from pymc_features.update.kinds.base import QUANTILES, declare, table
-from pymc_features.update.kinds.shapes import geometry, mode_shapes
+from pymc_features.update.kinds.base import QUANTILES, declare, geometry, mode_shapes, table
 from pymc_features.update.predictions import predictions
 from pymc_features.update.problem import Problem, problem_of, validated
 from pymc_features.update.sampling import Running, run_parts, seed_of
@@ -148,23 +147,16 @@ def members_of(problem: Problem) -> dict[str, Problem]:
 
 
 def with_evidence(kinds) -> list[str]:
-    """Choose the likelihoods whose posterior has an evidence."""
     return [kind for kind in kinds if not (KINDS[kind].calibrates or KINDS[kind].is_likelihood_free)]
 
 
 def parts_of(problems, folder: str, settings: Running) -> dict[str, dict[str, xr.DataTree]]:
     """What is sampled of several problems, each kept in a folder of its own within that of the update."""
-
-    def told(name, part, done, total):
-        settings.progress(f"{name}: {part}", done, total)
-
-    found = {}
+    found, tell = {}, settings.progress or (lambda part, done, total: None)
     for name, problem in problems.items():
-        own = settings._replace(
-            out=None if settings.out is None else Path(settings.out) / folder / name,
-            progress=settings.progress and partial(told, name),
-        )
-        found[name], _ = run_parts(problem, own)
+        out = None if settings.out is None else Path(settings.out) / folder / name
+        told = partial(lambda name, part, done, total: tell(f"{name}: {part}", done, total), name)
+        found[name], _ = run_parts(problem, settings._replace(out=out, progress=told))
     return found
 
 

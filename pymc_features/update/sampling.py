@@ -141,13 +141,11 @@ def run_part(problem, kind, own, base, running: Running) -> xr.DataTree:
 
 
 def seed_of(problem, kind) -> int:
-    """Seed of one likelihood."""
     key = [problem.config.sampler.random_seed, list(KINDS).index(kind)]
     return int(np.random.SeedSequence(key).generate_state(1)[0])
 
 
 def method_of(problem, kind) -> str:
-    """How a likelihood is sampled."""
     sampler = problem.config.sampler
     if KINDS[kind].calibrates:
         return "calibrate"

@@ -66,16 +66,14 @@ class AmbientSection(Section):
 
     @model_validator(mode="after")
     def one_for_each_band(self):
-        """Lists need bands that are listed."""
         for name in ("force", "error"):
             if isinstance(getattr(self, name), list) and self.bands == "auto":
                 raise ValueError(f'must list `bands` where `{name}` is a list, got "auto"')
         return self
 
-    def parameters(self, config=None):
-        """Key, unit and value of what may be random."""
-        yield "ambient.force", UNITS[self.forces], self.force
-        yield "ambient.error", ERROR, self.error
+    def parameters(self, key, config=None):
+        yield f"{key}.force", UNITS[self.forces], self.force
+        yield f"{key}.error", ERROR, self.error
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,6 @@ class Ambient(KindOfData):
 
     @classmethod
     def read(cls, problem):
-        """Read, correct and process the channels, and find bands if it is asked for."""
         config, asked = problem.config, problem.config.ambient
         dofs = checked_dofs(config, problem.expected.n_dof)
         n_bands = None if asked.bands == "auto" else len(asked.bands)
@@ -167,7 +164,6 @@ class Ambient(KindOfData):
 
     @property
     def duration(self) -> float:
-        """Duration of the record [s]."""
         return self.step * self.channels.sizes["time"]
 
     @property
@@ -188,7 +184,7 @@ class Ambient(KindOfData):
         return {"channels": self.channels.values, "bands": self.bands} | known
 
     def parameters(self, likelihood):
-        return [value for *_, value in self.config.ambient.parameters()]
+        return self.config.ambient.force, self.config.ambient.error
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         asked = self.config.ambient
@@ -223,7 +219,6 @@ class Ambient(KindOfData):
         yield f"data: {self.source}, {self.duration:.4g} s at {self.step:.4g} s"
 
     def check(self, problem, path):
-        """Draw the spectra with the bands; the line of the file with the bands."""
         wrote = base.drawn_to(path, self.draw)
         yield f"bands = [{', '.join(f'[{low:.4g}, {high:.4g}]' for low, high in self.bands)}]  # Hz"
         yield wrote

@@ -51,7 +51,6 @@ class EventsSection(Section):
 
     @model_validator(mode="after")
     def one_source(self):
-        """A folder or a list."""
         if (self.folder is None) == (self.files is None):
             raise ValueError("must have one of the keys `folder` and `files`, got both or neither")
         if self.pattern is not None and self.folder is None:
@@ -136,7 +135,6 @@ class Events(Responses):
 
     @property
     def identity(self):
-        """What all events are recognised by."""
         keys = "base_sha256", "base_interpolation", "channels_sha256"
         prints = [[name, *map(event.prints().get, keys)] for name, event in self.events.items()]
         return hashlib.sha256(json.dumps(prints).encode()).hexdigest()
@@ -152,7 +150,6 @@ class Events(Responses):
                 yield one if isinstance(one, dict) else f"{name}: {one}"
 
     def check(self, problem, path):
-        """Each event into a file of its own."""
         for number, event in enumerate(self.events.values(), 1):
             at = path.with_name(f"{path.stem}-{number}{path.suffix}")
             yield from event.check(self.at(problem, event), at)
@@ -185,7 +182,6 @@ class Events(Responses):
         return idata, model
 
     def sentences(self, problem, result, explains):
-        """Whether the structure has changed under the first likelihood."""
         kind = kinds_of(result)[0]
         record = result[kind]["sequence"].to_dataset()
         names, changed = record["name"].values, record["probability_changed"].values

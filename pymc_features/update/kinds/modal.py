@@ -22,10 +22,18 @@ from pymc_features.modal.files.nodes import read_nodes
 from pymc_features.modal.identified import identified
 from pymc_features.update.config.entries import Vector, evaluated
 from pymc_features.update.config.keys import named_key, refuse, shown
-from pymc_features.update.config.sections import Names, Section, key, parameters_of
+from pymc_features.update.config.sections import Names, Section, key
 from pymc_features.update.kinds import base
-from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict, kinds_of, table
-from pymc_features.update.kinds.shapes import Points, mode_shapes, points_of
+from pymc_features.update.kinds.base import (
+    QUANTILES,
+    KindOfData,
+    Points,
+    Verdict,
+    kinds_of,
+    mode_shapes,
+    points_of,
+    table,
+)
 from pymc_features.update.plausibility.findings import of_modes
 from pymc_features.update.templates.numbers import Scale, fixed
 
@@ -88,7 +96,6 @@ class ModalSection(Section):
 
     @model_validator(mode="after")
     def one_source(self):
-        """One file, or several with references."""
         if (self.file is None) == (self.files is None):
             raise ValueError("must have one of the keys `file` and `files`, got both or neither")
         if self.references is not None and self.files is None:
@@ -100,10 +107,6 @@ class ModalSection(Section):
         if isinstance(self.density, float) and self.density <= 0.0:
             raise ValueError(f"must have positive degrees of freedom as `density`, got {self.density:g}")
         return self
-
-    def parameters(self, config):
-        """Key, unit and value of what may be random."""
-        return parameters_of("modal", self)
 
 
 class ModeRow(NamedTuple):
@@ -121,7 +124,6 @@ class ModeRow(NamedTuple):
 
     @property
     def off(self) -> float:
-        """Median of the model over the measurement, less one."""
         return self.middle / self.measured - 1.0
 
     def deviation(self, sd: float) -> float:
@@ -130,7 +132,6 @@ class ModeRow(NamedTuple):
 
     @property
     def has_partner(self) -> bool:
-        """Return whether the mode has a partner in most draws."""
         return self.strangers <= MOST
 
     @property
@@ -174,7 +175,6 @@ class Modal(KindOfData):
 
     @classmethod
     def read(cls, problem):
-        """Read the modes of [modal]; it warns of what is suspicious about them."""
         section, folder, structure = problem.config.modal, problem.folder, problem.expected
         files = [section.file] if section.files is None else section.files
         source = ", ".join(Path(file).name for file in files)
@@ -236,7 +236,6 @@ class Modal(KindOfData):
 
     @property
     def sentence(self) -> str:
-        """What they are, and where they come from."""
         at = f" at {len(self.dofs)} channels" if self.dofs else " without shapes"
         return f"{self.used.replace('identified ', '')}{at} from {self.source}"
 
@@ -346,7 +345,6 @@ class Modal(KindOfData):
             yield base.drawn_to(path, [*figures.values()][-1])
 
     def tables(self, problem, result):
-        """Frequencies with standard deviations, damping, the places of channels; and those of the model."""
         data = self.data
         columns = [self.names, [f"{f:.4g}" for f in data.frequencies]]
         for values, factor in ((data.frequency_sd, 1.0), (data.damping_ratios, 100.0)):
@@ -404,7 +402,6 @@ class Modal(KindOfData):
 
 
 def most_modes(structure) -> int:
-    """Modes of a structure that can be chosen from."""
     return structure.n_dof if structure.has_storeys else structure.n_modes
 
 
