@@ -115,12 +115,12 @@ def validated(raw: dict, *, prune: bool = False) -> File:
         config = Config.model_validate(raw)
     except ValidationError as error:
         raise ConfigError(sentence(error, raw)) from error
-    check_sources(config)
+    check_sections(config)
     check_names(config, prune)
     return config
 
 
-def check_sources(config: File) -> None:
+def check_sections(config: File) -> None:
     """There is something to compare with, and no section that it does not need."""
     if config.structure is None and config.external is None:
         raise ConfigError(f"`structure` must be given: {A_STRUCTURE}.")

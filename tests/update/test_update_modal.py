@@ -132,7 +132,7 @@ BROKEN = {  # what is said: what is changed, into what
         f'{PHI}\ndensity = "GAMMA"',
     ),
     "`structure.damping` must be given": (PHI, f"{PHI}\nsigma_zeta = 0.2"),
-    "`modal` must have `sigma_phi` only with shapes, got it with shapes =": (CHANNELS, "shapes = false"),
+    "`modal.sigma_phi` must be left out without shapes, got it. It says shapes": (CHANNELS, "shapes = false"),
     "`modal.channels` must be left out without shapes, got it. bare.csv has": ('"modes.csv"', '"bare.csv"'),
     "[modal]: modes.csv": ('file = "modes.csv"', 'file = "modes.csv"\nnames = { omega = "frequency" }'),
     "`processing` must be left out without [data], got it.": (SAMPLER, "[processing]\ndecimate = 1"),

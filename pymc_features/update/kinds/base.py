@@ -59,6 +59,7 @@ class KindOfData:
 
     key: str  # name of its section in the file, and the section
     section: type[Section]
+    asked: Section  # what the file says
     own: tuple[Likelihood, ...] = ()  # likelihoods that no other kind has
     refused: dict[str, str] = {}  # sections and keys that mean nothing beside it, to what is said of them
     is_checked: bool = True  # whether `read` looks for what is wrong
@@ -92,8 +93,8 @@ class KindOfData:
         raise NotImplementedError
 
     def parameters(self, likelihood: str):
-        """Values of the file that are random under a likelihood, besides those of the structure."""
-        return ()
+        """Values of the file that may be random under a likelihood, besides those of the structure."""
+        return [value for *_, value in self.asked.parameters(self.key)]
 
     def declare(self, problem, likelihood: str, structure, values, tolerance) -> None:
         """Add what was measured to the PyMC model of the context; `values` are the variables by name."""

@@ -67,6 +67,7 @@ class Events(Responses):
     events: dict[str, Responses] = field(default_factory=dict)  # by name, in their order
 
     key, section = "events", EventsSection
+    refused = {"data.dataset": "with [events], got it. Name the files of each event."}
 
     @classmethod
     def is_asked(cls, config):
@@ -78,10 +79,6 @@ class Events(Responses):
             raise ConfigError(
                 "`events` must be left out without [data], got it. Events are measured responses; several "
                 "tests of modes are rows of one table."
-            )
-        if config.data.dataset is not None:
-            raise ConfigError(
-                "`events` must be left out with `data.dataset`, got both. Name the files of each event."
             )
         super().check_sections(config)
         if refused := [kind for kind in config.likelihood.kinds if kind not in WITH_EVIDENCE]:
@@ -153,9 +150,6 @@ class Events(Responses):
         for number, event in enumerate(self.events.values(), 1):
             at = path.with_name(f"{path.stem}-{number}{path.suffix}")
             yield from event.check(self.at(problem, event), at)
-
-    def foretold(self, problem, several=()):
-        return super().foretold(problem, self.events.values())
 
     def sample(self, problem, likelihood, model, seed, running):
         """The posterior after the last event; that after each one is kept in a folder for each likelihood."""

@@ -55,6 +55,7 @@ class Histories(KindOfData):
     first: int = 0  # sample of the response that the first of the channels is compared with
 
     n_predicted: ClassVar[int] = DRAWS
+    events: ClassVar[dict] = {}
 
     @classmethod
     def check_sections(cls, config):
@@ -132,14 +133,12 @@ class Histories(KindOfData):
     def prints(self):
         return super().prints() | {"base_interpolation": self.record.interpolation}
 
-    def foretold(self, problem, several=()):
-        """What likelihoods that count sensors cannot tell, perhaps of several records."""
-        n_unknown, m = len(problem.structure.names), self.config.likelihood.m
+    def foretold(self, problem):
+        """What likelihoods that count sensors cannot tell, perhaps of several events."""
+        n_unknown, m, several = len(problem.structure.names), self.config.likelihood.m, self.events.values()
         advice = "" if several else " CAL counts what the residuals support."
-        counts = {
-            kind: [LIKELIHOODS[kind].claimed(one.samples, m) for one in several or [self]]
-            for kind in self.likelihoods
-        }
+        claims = {kind: LIKELIHOODS[kind].claimed for kind in self.likelihoods}
+        counts = {kind: [of(one.samples, m) for one in several or [self]] for kind, of in claims.items()}
         return [
             f"{kind} counts {sum(each):.0f} observations for {n_unknown} unknown parameters of the structure"
             f": expect a posterior that is not much narrower than the prior.{advice}"

@@ -100,10 +100,6 @@ class ModalSection(Section):
             raise ValueError("must have one of the keys `file` and `files`, got both or neither")
         if self.references is not None and self.files is None:
             raise ValueError("must have `references` only with `files`, got them with `file`")
-        if not self.shapes:
-            for name in ("channels", "scale", "sigma_phi", "nodes", "density"):
-                if name in self.model_fields_set:
-                    raise ValueError(f"must have `{name}` only with shapes, got it with shapes = false")
         if isinstance(self.density, float) and self.density <= 0.0:
             raise ValueError(f"must have positive degrees of freedom as `density`, got {self.density:g}")
         return self
@@ -256,9 +252,6 @@ class Modal(KindOfData):
         if self.asked.density == "NORMAL":
             found["shape_sd"] = data.shape_sd
         return {f"modal_{name}": values for name, values in found.items() if values is not None}
-
-    def parameters(self, likelihood):
-        return self.asked.sigma_f, self.asked.sigma_phi, self.asked.sigma_zeta
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         """Add the modes; where residuals of responses decide the width, as a factor of the prior."""
@@ -438,11 +431,10 @@ def modes_verdict(rows: list[ModeRow]) -> Verdict:
 def at_channels(section, data, structure, source) -> tuple[ModalData, list[int]]:
     """The modes at the channels that are compared, in their sense, and their places; or frequencies alone."""
     if data.shapes is None or not section.shapes:
-        for name in ("channels", "scale", "sigma_phi", "nodes"):
-            if getattr(section, name) is not None:
-                raise ConfigError(
-                    f"`modal.{name}` must be left out without shapes, got it. {source} has frequencies alone."
-                )
+        of_shapes = ("channels", "scale", "sigma_phi", "nodes") + ("density",) * (not section.shapes)
+        for name in filter(section.model_fields_set.__contains__, of_shapes):
+            why = f"{source} has frequencies alone" if section.shapes else "It says shapes = false"
+            raise ConfigError(f"`modal.{name}` must be left out without shapes, got it. {why}.")
         return replace(data, **WITHOUT_SHAPES), []
     if section.channels is None:
         raise ConfigError(

@@ -111,9 +111,6 @@ class FrequencyResponses(KindOfData):
     def placed(self):
         return dict(zip(self.measured.data["response"].values.tolist(), self.dofs, strict=True))
 
-    def parameters(self, likelihood):
-        return self.asked.sigma_f, self.asked.sigma_zeta, self.asked.sigma_phi
-
     def declare(self, problem, likelihood, structure, values, tolerance):
         names = "sigma_f", "sigma_zeta", "sigma_phi"
         pairs = zip(names, self.parameters(likelihood), strict=True)
