@@ -374,8 +374,10 @@ def test_a_mode_without_partner_and_a_missing_entry(folder, capsys):
 
 
 def test_verdict_on_modes():
-    row = ModeRow("1", 2.0, 1.98, 2.02, 2.05, (0.97, 0.98, 0.99), 1, 1.0, 0.0)
-    other = row._replace(name="2", measured=5.0, middle=5.0, mac=(np.nan,) * 3, partner=3, share=0.6)
+    row = ModeRow("1", 2.0, (1.98, 2.02, 2.05), (0.97, 0.98, 0.99), 1, 1.0, 0.0)
+    other = row._replace(
+        name="2", measured=5.0, model=(4.9, 5.0, 5.1), mac=(np.nan,) * 3, partner=3, share=0.6
+    )
     said, explains = modes_verdict([row, other])
     assert explains
     assert said == [

@@ -31,7 +31,6 @@ AMBIENT = Likelihood(
     "AMBIENT",
     "Fourier transforms of the channels complex Gaussian, forces and errors white in each band",
     "C8",
-    lambda given: None,  # no response is compared in time
     takes=(),
 )
 Windows = Annotated[list[Window], Field(min_length=1)]

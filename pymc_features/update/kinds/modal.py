@@ -41,7 +41,6 @@ MODAL = Likelihood(
     "MODAL",
     "errors of ln f Gaussian, 1 - MAC as the feature of Eq. (3), modes matched at every evaluation",
     "C9",
-    lambda given: None,  # no response is compared in time
     takes=(),
 )
 SCALE = "the name of a prior or a number, one or one for each mode"
@@ -109,10 +108,8 @@ class ModeRow(NamedTuple):
     """One identified mode and its partners in the draws."""
 
     name: str  # its number in the file, and its label
-    measured: float  # [Hz], and 5, 50 and 95 % of the model [Hz]
-    low: float
-    middle: float
-    high: float
+    measured: float  # [Hz]
+    model: tuple[float, float, float]  # 5, 50 and 95 % of the frequency of its partner [Hz]
     mac: tuple[float, float, float]  # 5, 50 and 95 %; NaN without a shape
     partner: int  # mode of the model that most draws take, 1 the lowest
     share: float  # of the draws that take it
@@ -120,11 +117,12 @@ class ModeRow(NamedTuple):
 
     @property
     def off(self) -> float:
-        return self.middle / self.measured - 1.0
+        return self.model[1] / self.measured - 1.0
 
     def deviation(self, sd: float) -> float:
         """How many standard deviations the median of the model is off, if that of the measurement is `sd`."""
-        return (self.middle - self.measured) / float(np.hypot(sd, (self.high - self.low) / WIDTH))
+        low, middle, high = self.model
+        return (middle - self.measured) / float(np.hypot(sd, (high - low) / WIDTH))
 
     @property
     def has_partner(self) -> bool:
@@ -135,7 +133,7 @@ class ModeRow(NamedTuple):
         """Texts of the row, in the order of `COLUMNS`."""
         low, middle, high = self.mac
         of_shape = ("", "") if np.isnan(middle) else (f"{middle:.3f}", f"{low:.3f}-{high:.3f}")
-        quantiles = fixed((self.low, self.middle, self.high), (self.high - self.low) / WIDTH, HERTZ)
+        quantiles = fixed(self.model, (self.model[2] - self.model[0]) / WIDTH, HERTZ)
         numbers = f"{self.measured:.4g}", *quantiles, f"{100.0 * self.off:+.2f} %"
         return self.name, *numbers, *of_shape, f"f{self.partner}" if self.has_partner else "none"
 
@@ -294,10 +292,13 @@ class Modal(KindOfData):
         for k, (name, measured) in enumerate(zip(self.names, self.data.frequencies.tolist(), strict=True)):
             one = matched.isel(identified=k)
             values, counts = np.unique(one["model_mode"].values, return_counts=True)
-            frequency, mac = (np.quantile(one[key].values, QUANTILES) for key in ("frequency", "mac"))
+            numbers = [
+                tuple(np.quantile(one[key].values, QUANTILES).tolist()) for key in ("frequency", "mac")
+            ]
             most, share = 1 + int(values[counts.argmax()]), float(counts.max() / counts.sum())
-            strangers, mac = 1.0 - float(one["has_partner"].mean()), tuple(mac.tolist())
-            found.append(ModeRow(name, measured, *frequency.tolist(), mac, most, share, strangers))
+            found.append(
+                ModeRow(name, measured, *numbers, most, share, 1.0 - float(one["has_partner"].mean()))
+            )
         return found
 
     def shared(self, problem):
@@ -329,7 +330,7 @@ class Modal(KindOfData):
         cells = [row.cells for row in rows]
         yield table("modes", "modes", "Identified modes [Hz], and the model under the priors", COLUMNS, cells)
         yield from modes_verdict(rows).sentences
-        outside = [row for row in rows if not row.low <= row.measured <= row.high]
+        outside = [row for row in rows if not row.model[0] <= row.measured <= row.model[2]]
         if outside:
             named = ", ".join(f"{row.name} ({row.measured:.4g} Hz)" for row in outside)
             yield f"Outside of what the priors expect (5 to 95 %): {named}."
@@ -406,7 +407,7 @@ def modes_verdict(rows: list[ModeRow]) -> Verdict:
         of_shape = "" if np.isnan(row.mac[1]) else f", MAC {row.mac[1]:.2f}"
         told.append(
             f"The model has no partner for the identified mode {row.name} ({row.measured:.4g} Hz): the best "
-            f"that is left is at {row.middle:.4g} Hz{of_shape}."
+            f"that is left is at {row.model[1]:.4g} Hz{of_shape}."
         )
     if partners:
         some = f"{len(partners)} of {n} identified modes" if strangers else f"all {n} identified modes"

@@ -20,9 +20,7 @@ from pymc_features.update.kinds import base
 from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict, kinds_of, table
 from pymc_features.update.plausibility.findings import of_modes
 
-FRF = Likelihood(
-    "FRF", "modes of response functions, each with one error of the model", "C8", lambda given: None, takes=()
-)
+FRF = Likelihood("FRF", "modes of response functions, each with one error of the model", "C8", takes=())
 DRAWS, LINES = 200, 600  # of a posterior, and of the lines, that are predicted
 FAR = 3.0  # standard deviations of a mode that the model does not have
 LOW = 0.8  # coherence that is worth a word
