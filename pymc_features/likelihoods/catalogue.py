@@ -71,9 +71,9 @@ class Likelihood:
         What it takes for the error, in a few words, with its equation in the source.
     colour : str
         In figures.
-    declare : callable
+    declare : callable, optional
         Adds the observed variable `y` with the dimensions `DIMS` to the model of the context, from a
-        `Comparison`.
+        `Comparison`. None where no response is compared in time.
     exponents : callable, optional
         From the numbers of sensors and samples to the `Exponents` of a likelihood of S(theta), whose exact
         posterior the study then knows.
@@ -94,7 +94,7 @@ class Likelihood:
     name: str
     meaning: str
     colour: str
-    declare: Callable[[Comparison], object]
+    declare: Callable[[Comparison], object] | None = None
     exponents: Callable[[int, int], Exponents] | None = None
     takes: tuple[str, ...] = ("sigma",)
     known: tuple[str, ...] = ()

@@ -76,7 +76,8 @@ def record_of(result: xr.DataTree) -> Record:
         )
     data = result["data"].to_dataset()
     channel = data["ground_acceleration"].rename(record_time="time").assign_attrs(units="m/s^2")
-    return Record.from_channel(channel, name=data.attrs.get("record", ""))
+    how = {"interpolation": data.attrs["interpolation"]} if "interpolation" in data.attrs else {}
+    return Record.from_channel(channel, name=data.attrs.get("record", ""), **how)
 
 
 @figure("One for each sensor")

@@ -55,12 +55,10 @@ class Predict(RecordFile):
 
     @property
     def title(self) -> str:
-        """What it is called."""
         found = self.name or ("measured motion" if self.path is None else Path(self.path).stem)
         return found.replace("/", "-")
 
     def motion(self, folder: Path, measured: Record | None) -> Record:
-        """The motion, scaled."""
         record, factor = measured if self.path is None else self.read(folder), self.scale
         if self.peak is not None:
             factor = self.peak / float(np.abs(record.acceleration).max())

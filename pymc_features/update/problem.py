@@ -5,6 +5,7 @@ import json
 import keyword
 import warnings
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -62,11 +63,10 @@ class File(sections.Section):
 
     def uses(self) -> dict[str, list[tuple[str, str]]]:
         """Names of priors to (key, unit) of every place where they are used, in the order of use."""
-        places = [] if self.structure is None else list(sections.parameters_of("structure", self.structure))
-        for name in type(self).model_fields:
-            places += getattr(getattr(self, name), "parameters", lambda config: ())(self)
         found: dict[str, dict[tuple[str, str], None]] = {}
-        for key, of_key, value in places:
+        parts = [(name, getattr(self, name)) for name in ("structure", *type(self).model_fields)]
+        of_parts = [part.parameters(key, self) for key, part in parts if isinstance(part, sections.Section)]
+        for key, of_key, value in chain.from_iterable(of_parts):
             for name, unit in units_in(value, of_key):
                 found.setdefault(name, {})[key, unit] = None
         return {name: list(pairs) for name, pairs in found.items()}
@@ -115,12 +115,12 @@ def validated(raw: dict, *, prune: bool = False) -> File:
         config = Config.model_validate(raw)
     except ValidationError as error:
         raise ConfigError(sentence(error, raw)) from error
-    check_sources(config)
+    check_sections(config)
     check_names(config, prune)
     return config
 
 
-def check_sources(config: File) -> None:
+def check_sections(config: File) -> None:
     """There is something to compare with, and no section that it does not need."""
     if config.structure is None and config.external is None:
         raise ConfigError(f"`structure` must be given: {A_STRUCTURE}.")
@@ -212,7 +212,6 @@ class Problem:
         return next((data for data in self.shown if isinstance(data, Modal)), None)
 
     def with_data(self, *data) -> "Problem":
-        """Return the structure and priors with other data."""
         return replace(self, data=data)
 
     @property
@@ -234,7 +233,6 @@ class Problem:
         return {name: uses[name][0][1] for name in self.priors}
 
     def verdict(self, result, kind: str) -> Verdict:
-        """Judge how one likelihood of a result meets all data."""
         found = [data.verdict(self, result, kind) for data in self.shown]
         return Verdict([s for one in found for s in one.sentences], all(one.explains for one in found))
 

@@ -18,8 +18,7 @@ from pymc_features.events import compare, hierarchical
 from pymc_features.exceptions import ConfigError
 from pymc_features.update.config.keys import named_key, shown
 from pymc_features.update.kinds import KINDS
-from pymc_features.update.kinds.base import QUANTILES, declare, table
-from pymc_features.update.kinds.shapes import geometry, mode_shapes
+from pymc_features.update.kinds.base import QUANTILES, declare, geometry, mode_shapes, table
 from pymc_features.update.predictions import predictions
 from pymc_features.update.problem import Problem, problem_of, validated
 from pymc_features.update.sampling import Running, run_parts, seed_of
@@ -64,20 +63,16 @@ def run_update(
     Returns
     -------
     DataTree
-        For each likelihood `/<kind>/`, CAL first: posterior, prior, sample_stats, observed_data, bands,
-        modal, mode_shapes, histories (responses of draws by their principal components), and of CAL
-        calibration, what `effective_samples` returns. And `/data`: motion of the base,
-        measured responses and their gain; of a cyclic test force and displacement, and no modal. Of
-        identified modes `/identified`, and in each likelihood `matched`, which mode each is matched with;
-        without responses the only likelihood is MODAL, and there are neither data nor
-        bands. Of ambient vibration the likelihood is AMBIENT, with `spectra`, see `fitted_spectra`, and with
-        the modes that the channels have. Of several events `sequence`, and all else is the state after the
-        last of them. Of a structure with modes `/geometry`, where its degrees of freedom are.
-        `/predict/<name>` has what [[predict]] asks for, see `predictions`, and
-        `/compare/<likelihood>` the evidence of the candidates of [compare], `/hierarchical/<likelihood>` the
-        population of [hierarchical]. The attribute `failed` says in
-        JSON which calibrated posterior could not be had, and why; if it was the only one asked for, that
-        which it is made from is in its place. `units` are those of the parameters.
+        `/<kind>/` of each likelihood, CAL first: posterior, prior, sample_stats, observed_data, bands,
+        histories (responses of draws by their principal components), modal and mode_shapes; calibration of
+        CAL, what `effective_samples` returns; sequence of several events, all else is the state after the
+        last; matched of identified modes, the mode that each is matched with; spectra of ambient vibration,
+        see `ambient.fit.fitted_spectra`. Of all likelihoods `/data`, motion of the base, measured responses
+        and their gain, or of a cyclic test displacement and force; `/identified` modes; `/geometry`, where
+        degrees of freedom are; `/predict/<name>` of [[predict]], see `predictions`; `/compare/<likelihood>`,
+        the evidence of candidates; `/hierarchical/<likelihood>`, the population. The attribute `failed` says
+        in JSON which calibrated posterior could not be had, and why; if no other was asked for, that which
+        it is made from is in its place. `units` are those of the parameters.
 
     Raises
     ------
@@ -148,23 +143,16 @@ def members_of(problem: Problem) -> dict[str, Problem]:
 
 
 def with_evidence(kinds) -> list[str]:
-    """Choose the likelihoods whose posterior has an evidence."""
     return [kind for kind in kinds if not (KINDS[kind].calibrates or KINDS[kind].is_likelihood_free)]
 
 
 def parts_of(problems, folder: str, settings: Running) -> dict[str, dict[str, xr.DataTree]]:
     """What is sampled of several problems, each kept in a folder of its own within that of the update."""
-
-    def told(name, part, done, total):
-        settings.progress(f"{name}: {part}", done, total)
-
-    found = {}
+    found, tell = {}, settings.progress or (lambda part, done, total: None)
     for name, problem in problems.items():
-        own = settings._replace(
-            out=None if settings.out is None else Path(settings.out) / folder / name,
-            progress=settings.progress and partial(told, name),
-        )
-        found[name], _ = run_parts(problem, own)
+        out = None if settings.out is None else Path(settings.out) / folder / name
+        told = partial(lambda name, part, done, total: tell(f"{name}: {part}", done, total), name)
+        found[name], _ = run_parts(problem, settings._replace(out=out, progress=told))
     return found
 
 

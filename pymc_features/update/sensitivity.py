@@ -1,7 +1,5 @@
 """What the sensors can see of each parameter before anything is measured or sampled: [sensitivity]."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from pymc_features.exceptions import ConfigError
@@ -9,29 +7,19 @@ from pymc_features.inference.fisher import product_function
 from pymc_features.inference.parameters import initial_values
 from pymc_features.update.config.keys import named_key
 from pymc_features.update.kinds import KINDS
-from pymc_features.update.kinds.base import QUANTILES, declare
+from pymc_features.update.kinds.base import declare
 
 BLIND = 0.8  # share of a prior's standard deviation that remains: sensors hardly see the parameter
 SPREAD = 2000  # draws from which a prior's standard deviation is known to 2 %
 
 
-class Remaining(NamedTuple):
-    """What data like these leave of a parameter's prior standard deviation, over draws of the prior."""
-
-    name: str  # of the parameter
-    prior: float  # standard deviation of its prior
-    low: float  # 5, 50 and 95 % of the share that remains [-]: 1 where the data tell nothing
-    middle: float
-    high: float
-    # the parameter that is hardest to tell apart from it, where that leaves most of what remains
-    together: str
-
-
-def remaining(problem) -> list[Remaining]:
+def remaining(problem) -> dict[str, tuple[float, str]]:
     """Judge every parameter of the structure by the Fisher information over the prior.
 
     At each draw of the priors the posterior covariance is about (I + P)^-1, with I the Fisher information of
-    the likelihoods, see `fisher_information`, and P the inverse variances of the priors.
+    the likelihoods, see `fisher_information`, and P the inverse variances of the priors. Each name has the
+    median share of the prior's standard deviation that remains [-], 1 where the data tell nothing, and the
+    parameter that is hardest to tell apart from it, where that leaves most of what remains.
     """
     kind = problem.reported[0]
     with named_key("sensitivity"):
@@ -53,18 +41,18 @@ def remaining(problem) -> list[Remaining]:
     covariance = np.linalg.inv(scaled.mean(axis=0))
     scale = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance / np.outer(scale, scale)) - np.eye(len(names))
-    found = []
+    found = {}
     for i in (names.index(name) for name in problem.structure.names):
         other = int(correlation[i].argmax())
         together = names[other] if correlation[i, other] > BLIND else ""
-        found.append(Remaining(names[i], spread[i], *np.quantile(shares[:, i], QUANTILES), together))
+        found[names[i]] = float(np.median(shares[:, i])), together
     return found
 
 
-def sensitivity_sentences(found: list[Remaining]) -> list[str]:
+def sensitivity_sentences(found: dict[str, tuple[float, str]]) -> list[str]:
     """Which parameters these sensors hardly see, and which they cannot tell apart."""
-    blind = ", ".join(f"{row.name} ({100 * row.middle:.0f} %)" for row in found if row.middle > BLIND)
-    pairs = {" and ".join(sorted((row.name, row.together))) for row in found if row.together}
+    blind = ", ".join(f"{name} ({100 * share:.0f} %)" for name, (share, _) in found.items() if share > BLIND)
+    pairs = {" and ".join(sorted((name, other))) for name, (_, other) in found.items() if other}
     told = []
     if blind:
         told.append(

@@ -10,8 +10,8 @@ import xarray as xr
 
 from pymc_features import cli
 from pymc_features.exceptions import ChainsDisagreeWarning
+from pymc_features.inference.lost_chains import without_lost_chains
 from pymc_features.update import write_example
-from pymc_features.update.sampling import without_lost_chains
 from support.update_files import replaced
 
 PLACES = np.array([20.0, 20.0, -20.0, 20.0])  # of the chains
@@ -41,7 +41,7 @@ def drawn(places=PLACES, width=1.0, size=10):
 
 
 def test_a_chain_in_a_mode_without_weight_is_left_out():
-    told = "below that of chain [013]: chain 2 by (29|30|31). Increase `sampler.draws`"
+    told = "below that of chain [013]: chain 2 by (29|30|31). Increase `draws`"
     with pytest.warns(ChainsDisagreeWarning, match=told):
         kept = without_lost_chains(drawn(), two_modes(lower=30.0))
     assert kept["posterior"]["chain"].values.tolist() == [0, 1, 3]

@@ -13,10 +13,10 @@ from scipy import signal
 import pymc_features as pmf
 from benchmarks import truth
 from pymc_features import ModalDamping, Record, SpringMassChain, cli
+from pymc_features.ambient.fit import fitted_spectra
 from pymc_features.exceptions import AmbientWarning, ConfigError
 from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.update import read_problem, run_update
-from pymc_features.update.kinds.ambient import fitted_spectra
 from pymc_features.update.kinds.base import declare
 from support.browser import check_page, needs_browser
 from support.linear import as_linear
@@ -146,7 +146,8 @@ def test_fitted_spectra_at_the_truth(path):
     """
     problem = read_problem(path)
     truth = xr.Dataset({name: (("chain", "draw"), [[value]]) for name, value in TRUE.items()})
-    fitted = fitted_spectra(problem.first, declare(problem, "AMBIENT"), truth)
+    given = problem.first.channels, problem.first.bands, declare(problem, "AMBIENT")
+    fitted = fitted_spectra(*given, truth)
     total = 0.0
     for seed in range(100, 140):
         spectra = averaged_spectra(shaken(seed), STEP)
@@ -157,7 +158,7 @@ def test_fitted_spectra_at_the_truth(path):
     assert np.abs(off.mean(axis=0)).max() < 0.02 and off.std(axis=0).max() < 0.08
     z = (fitted["ratio"] - 1.0) / fitted["sd"]
     assert np.abs(z).max() < 4.0 and 0.5 < z.std() < 1.5
-    changed = fitted_spectra(problem.first, declare(problem, "AMBIENT"), truth.assign(k1=1.05 * truth["k1"]))
+    changed = fitted_spectra(*given, truth.assign(k1=1.05 * truth["k1"]))
     assert ((changed["ratio"] - 1.0) / changed["sd"]).max() > 6.0
 
 

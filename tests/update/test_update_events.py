@@ -260,7 +260,7 @@ REFUSED = {  # what is said: what is changed, into what
     "`data.files` must be left out where events are files": ("[data]", '[data]\nfiles = "motion.csv"'),
     "`record` must be left out where events are files": ('base = "base"', "[record]\npath = 'a.csv'\n[data]"),
     "`data.files` must be given where events are folders": (FOLDER, 'files = ["events"]'),
-    "`events` must be left out with `data.dataset`, got both": ("[data]", f"[data]\n{DATASET}"),
+    "`data.dataset` must be left out with .events., got it. Name": ("[data]", f"[data]\n{DATASET}"),
     r"`events` must be left out without \[data\], got it. .* rows of one table.": (
         '[data]\nbase = "base"\nsensors = ["floor1", "floor2", "floor3"]\n',
         MODES,

@@ -132,7 +132,7 @@ BROKEN = {  # what is said: what is changed, into what
         f'{PHI}\ndensity = "GAMMA"',
     ),
     "`structure.damping` must be given": (PHI, f"{PHI}\nsigma_zeta = 0.2"),
-    "`modal` must have `sigma_phi` only with shapes, got it with shapes =": (CHANNELS, "shapes = false"),
+    "`modal.sigma_phi` must be left out without shapes, got it. It says shapes": (CHANNELS, "shapes = false"),
     "`modal.channels` must be left out without shapes, got it. bare.csv has": ('"modes.csv"', '"bare.csv"'),
     "[modal]: modes.csv": ('file = "modes.csv"', 'file = "modes.csv"\nnames = { omega = "frequency" }'),
     "`processing` must be left out without [data], got it.": (SAMPLER, "[processing]\ndecimate = 1"),
@@ -374,8 +374,10 @@ def test_a_mode_without_partner_and_a_missing_entry(folder, capsys):
 
 
 def test_verdict_on_modes():
-    row = ModeRow("1", 2.0, 1.98, 2.02, 2.05, (0.97, 0.98, 0.99), 1, 1.0, 0.0)
-    other = row._replace(name="2", measured=5.0, middle=5.0, mac=(np.nan,) * 3, partner=3, share=0.6)
+    row = ModeRow("1", 2.0, (1.98, 2.02, 2.05), (0.97, 0.98, 0.99), 1, 1.0, 0.0)
+    other = row._replace(
+        name="2", measured=5.0, model=(4.9, 5.0, 5.1), mac=(np.nan,) * 3, partner=3, share=0.6
+    )
     said, explains = modes_verdict([row, other])
     assert explains
     assert said == [

@@ -181,12 +181,12 @@ def test_what_sensors_see(path):
         other = path.with_name(f"{name}.toml")
         other.write_text(replaced(text, [('sigma = "sigma" ', f"sigma = {value}")]))
         seen[name] = remaining(read_problem(other))
-    assert [row.name for row in seen["quiet"]] == ["k1", "k2", "k3", "zeta"]
-    assert all(0.0 < row.low <= row.middle < 0.9 for row in seen["quiet"])
-    assert all(row.low > 0.99 for row in seen["noisy"])
+    assert list(seen["quiet"]) == ["k1", "k2", "k3", "zeta"]
+    assert all(0.0 < share < 0.9 for share, _ in seen["quiet"].values())
+    assert all(share > 0.99 for share, _ in seen["noisy"].values())
     told = sensitivity_sentences(seen["noisy"])
     assert told[0].startswith("These sensors can hardly see k1 (100 %), k2 (100 %), k3 (100 %), zeta (100 %)")
-    pair = [row._replace(together="k1") if row.name == "k2" else row for row in seen["quiet"]]
+    pair = seen["quiet"] | {"k2": (0.5, "k1")}
     assert sensitivity_sentences(pair)[-1] == "They can hardly tell apart k1 and k2."
 
 

@@ -85,7 +85,6 @@ class Groups(Value):
     times: Positive | list[Positive] = key("a positive number, or a list with one for each", 1.0)
 
     def entries(self) -> list:
-        """One entry for each member of the groups."""
         found = [value for value, count in self.groups for _ in range(count)]
         times = self.times if isinstance(self.times, list) else [self.times] * len(found)
         if len(times) != len(found):
@@ -102,7 +101,6 @@ class Multiples(Value):
     times: list[Positive] = key("a list of positive numbers", min_length=1)
 
     def entries(self) -> list[Parameter]:
-        """One entry for each of the values."""
         return [Parameter(prior=self.prior, times=factor) for factor in self.times]
 
 
@@ -117,7 +115,6 @@ class Taper(Value):
 
     @model_validator(mode="after")
     def positive(self):
-        """Values have one sign."""
         for name in ("base", "top", "exponent"):
             value = getattr(self, name)
             if isinstance(value, float) and (value < 0.0 or (value == 0.0 and name == "exponent")):

@@ -8,6 +8,7 @@ import json
 import re
 import tomllib
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 from pymc_features.exceptions import ConfigError, DatasetUnavailableError
@@ -23,6 +24,7 @@ ARGUMENTS = {
     "`draws` and `stage_draws`": "`sampler.draws`",
     "`draws` or `stage_draws`": "`sampler.draws`",
     "`stage_draws`": "`sampler.draws`",
+    "Increase `draws`,": "Increase `sampler.draws`,",
     "`runs`": "`external.emulate`",
     "sample with sample_smc()": "leave out `external.emulate`",
 }
@@ -70,108 +72,105 @@ def check_sizes(value, key: str = "") -> None:
 
 def check_keys(raw: dict) -> None:
     """Refuse unknown keys, all of them in one message."""
-    if unknown := " ".join(Schema().unknown(raw)):
+    if unknown := " ".join(unknown_keys([schema()], raw)):
         raise ConfigError(unknown)
 
 
-class Schema:
-    """The JSON schema of a file, or of a part: `parts`, of which a value has one, and what they refer to."""
+@cache
+def schema() -> dict:
+    """The JSON schema of a file."""
+    return json.loads(SCHEMA.read_text(encoding="utf-8"))
 
-    def __init__(self, parts=None, definitions=None):
-        if parts is None:
-            whole = json.loads(SCHEMA.read_text(encoding="utf-8"))
-            parts, definitions = [whole], whole["$defs"]
-        self.parts, self.definitions = parts, definitions
 
-    def choices(self, parts=None):
-        """Yield all alternatives, references and unions looked through."""
-        for part in self.parts if parts is None else parts:
-            if "$ref" in part:
-                part = self.definitions[part["$ref"].rpartition("/")[2]]
-            either = part.get("anyOf", part.get("oneOf"))
-            if either is None:
-                yield part
-            else:
-                yield from self.choices(either)
+def choices(parts):
+    """Yield all alternatives of some schemas, references and unions looked through."""
+    for part in parts:
+        if "$ref" in part:
+            part = schema()["$defs"][part["$ref"].rpartition("/")[2]]
+        either = part.get("anyOf", part.get("oneOf"))
+        yield from [part] if either is None else choices(either)
 
-    def tables(self, value) -> list[dict]:
-        """The alternatives that a value may be: objects for a table, of its `type` if it has one; arrays."""
-        wanted = {dict: "object", list: "array"}.get(type(value))
-        found = [part for part in self.choices() if part.get("type") == wanted]
-        named = value.get("type") if isinstance(value, dict) else None
-        return [part for part in found if named in self.types([part])] or found
 
-    def types(self, parts=None) -> list[str]:
-        """What the key `type` of a table may be."""
-        keys = (part.get("properties", {}).get("type", {}) for part in self.choices(parts))
-        return [key["const"] for key in keys if "const" in key]
+def types(parts) -> list[str]:
+    """What the key `type` of a table may be."""
+    keys = (part.get("properties", {}).get("type", {}) for part in choices(parts))
+    return [key["const"] for key in keys if "const" in key]
 
-    def below(self, value, part) -> "Schema | None":
-        """The schema of an item of a list, or of a key of a table; None of a key that is unknown."""
-        tables = self.tables(value)
-        if isinstance(value, list):
-            return Schema([one["items"] for one in tables if "items" in one], self.definitions)
-        known = [one["properties"][part] for one in tables if part in one.get("properties", {})]
-        others = [one.get("additionalProperties") for one in tables]
-        found = known or [one for one in others if isinstance(one, dict)]
-        return Schema(found, self.definitions) if found else None
 
-    def unknown(self, value, at: str = ""):
-        """Yield a sentence for every key of a value that is unknown."""
-        tables = self.tables(value)
-        for name, item, place in items_of(value, at) if tables else ():
-            below = self.below(value, name)
-            if below is not None:
-                yield from below.unknown(item, place)
-            elif all(one.get("additionalProperties", True) is False for one in tables):
-                known = list(dict.fromkeys(key for one in tables for key in one["properties"]))
-                close = difflib.get_close_matches(name, known, n=1)
-                hint = f"Did you mean `{close[0]}`?" if close else f"Known here: {', '.join(known)}."
-                yield f"`{place}` must be left out, it is no key. {hint}"
+def tables(parts, value) -> list[dict]:
+    """The alternatives that a value may be: objects for a table, of its `type` if it has one; arrays."""
+    wanted = {dict: "object", list: "array"}.get(type(value))
+    found = [part for part in choices(parts) if part.get("type") == wanted]
+    named = value.get("type") if isinstance(value, dict) else None
+    return [part for part in found if named in types([part])] or found
 
-    def place(self, location, value) -> tuple[str, str, str, "Schema"]:
-        """Keys of an error joined by dots, what the last of them must be, which entry it is, and its schema.
 
-        A `location` of pydantic has tags of unions and names of types besides: only what the file holds is
-        followed, or a last key that is missing there. The user chose the names of entries of plain values.
-        """
-        path, words, entry, schema = "", OTHER, "", self
-        for number, part in enumerate(location):
-            tables, below = schema.tables(value), schema.below(value, part)
-            is_known = any(part in one.get("properties", ()) for one in tables)
-            held = value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
-            is_held = part in held
-            if not is_held and not (is_known and number == len(location) - 1):
-                continue
-            if isinstance(part, int):
-                path = f"{path}[{part}]"
-            elif is_known or (below is not None and below.tables({})):
-                path = f"{path}.{part}" if path else str(part)
-                words = next((one["description"] for one in below.parts if "description" in one), OTHER)
-            else:
-                entry = str(part)[:ENTRY]
-            value, schema = value[part] if is_held else None, below or Schema([], self.definitions)
-        return path, words, entry, schema
+def below(parts, value, part) -> list[dict]:
+    """Schemas of an item of a list, or of a key of a table; none of a key that is unknown."""
+    of_value = tables(parts, value)
+    if isinstance(value, list):
+        return [one["items"] for one in of_value if "items" in one]
+    known = [one["properties"][part] for one in of_value if part in one.get("properties", {})]
+    others = [one.get("additionalProperties") for one in of_value]
+    return known or [one for one in others if isinstance(one, dict)]
+
+
+def unknown_keys(parts, value, at: str = ""):
+    """Yield a sentence for every key of a value that is unknown."""
+    of_value = tables(parts, value)
+    for name, item, place in items_of(value, at) if of_value else ():
+        if of_item := below(parts, value, name):
+            yield from unknown_keys(of_item, item, place)
+        elif all(one.get("additionalProperties", True) is False for one in of_value):
+            known = list(dict.fromkeys(key for one in of_value for key in one["properties"]))
+            close = difflib.get_close_matches(name, known, n=1)
+            hint = f"Did you mean `{close[0]}`?" if close else f"Known here: {', '.join(known)}."
+            yield f"`{place}` must be left out, it is no key. {hint}"
+
+
+def place_of(location, value) -> tuple[str, str, str, list[dict]]:
+    """Keys of an error joined by dots, what the last of them must be, which entry it is, and its schemas.
+
+    A `location` of pydantic has tags of unions and names of types besides: only what the file holds is
+    followed, or a last key that is missing there. The user chose the names of entries of plain values.
+    """
+    path, words, entry, parts = "", OTHER, "", [schema()]
+    for number, part in enumerate(location):
+        of_part = below(parts, value, part)
+        is_known = any(part in one.get("properties", ()) for one in tables(parts, value))
+        held = value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
+        is_held = part in held
+        if not is_held and not (is_known and number == len(location) - 1):
+            continue
+        if isinstance(part, int):
+            path = f"{path}[{part}]"
+        elif is_known or tables(of_part, {}):
+            path = f"{path}.{part}" if path else str(part)
+            words = next((one["description"] for one in of_part if "description" in one), OTHER)
+        else:
+            entry = str(part)[:ENTRY]
+        value, parts = value[part] if is_held else None, of_part
+    return path, words, entry, parts
 
 
 def sentence(error, raw: dict) -> str:
     """The first error of pydantic in words, and how many other places have one."""
     found = error.errors(include_url=False)
-    places = [Schema().place(one["loc"], raw) for one in found]
+    places = [place_of(one["loc"], raw) for one in found]
     more = len({re.sub(r"(\[\d+\])+$", "", path) for path, *_ in places}) - 1
     first = words(found[0], *places[0])
     return f"{first} ({more} more after this one.)" if more else first
 
 
-def words(error, path, meaning, entry, schema) -> str:
+def words(error, path, meaning, entry, parts) -> str:
     """One error: "`key` must be ..., got ..."."""
     kind, given = error["type"], error["input"]
     if kind == "missing":
         return f"`{path}` must be given: {meaning}."
-    if kind in ("union_tag_invalid", "union_tag_not_found") and schema.types():
+    if kind in ("union_tag_invalid", "union_tag_not_found") and types(parts):
         type_ = given.get("type") if isinstance(given, dict) else given
         got = "none" if type_ is None else shown(type_)
-        return f"`{path}.type` must be one of {', '.join(schema.types())}, got {got}."
+        return f"`{path}.type` must be one of {', '.join(types(parts))}, got {got}."
     if kind == "extra_forbidden":
         return f"`{path}` must be left out here, got {shown(given)}."
     if kind == "value_error":

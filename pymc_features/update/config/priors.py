@@ -28,7 +28,6 @@ _ARGUMENTS = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD
 
 
 def arguments_of(name: str) -> list[str]:
-    """Names of the arguments of a distribution."""
     parameters = inspect.signature(DISTRIBUTIONS[name].dist).parameters.values()
     return [p.name for p in parameters if p.kind in _ARGUMENTS]
 
@@ -42,7 +41,6 @@ class Prior(BaseModel):
     @field_validator("distribution")
     @classmethod
     def is_known(cls, name):
-        """Only what PyMC has."""
         if name not in DISTRIBUTIONS:
             close = difflib.get_close_matches(name, DISTRIBUTIONS, n=1)
             hint = f"Did you mean {close[0]}?" if close else f"There are {', '.join(DISTRIBUTIONS)}"

@@ -37,15 +37,14 @@ class Section(BaseModel):
 
     model_config = STRICT
 
-
-def parameters_of(key, section):
-    """Key, unit and value of every entry of a section that may be random."""
-    for name, field in type(section).model_fields.items():
-        value = getattr(section, name)
-        if isinstance(value, Section):
-            yield from parameters_of(f"{key}.{name}", value)
-        elif isinstance(field.json_schema_extra, dict) and "unit" in field.json_schema_extra:
-            yield f"{key}.{name}", field.json_schema_extra["unit"], value
+    def parameters(self, key, config=None):
+        """Key, unit and value of every entry that may be random; `key` is that of the section."""
+        for name, field in type(self).model_fields.items():
+            value = getattr(self, name)
+            if isinstance(value, Section):
+                yield from value.parameters(f"{key}.{name}")
+            elif isinstance(field.json_schema_extra, dict) and "unit" in field.json_schema_extra:
+                yield f"{key}.{name}", field.json_schema_extra["unit"], value
 
 
 def rising(value):
@@ -122,7 +121,6 @@ class Data(ChannelFormat):
 
     @model_validator(mode="after")
     def one_source(self):
-        """Files or a data set, each with its own keys."""
         if self.dataset is not None and self.files is not None:
             raise ValueError("must have one of the keys `files` and `dataset`, got both")
         if self.dataset is None and "event" in self.model_fields_set:
@@ -206,7 +204,6 @@ class Likelihood(Section):
 
     @model_validator(mode="after")
     def complete(self):
-        """What each likelihood needs."""
         if len(set(self.kinds)) < len(self.kinds):
             raise ValueError(f"must name each of `kinds` once, got {self.kinds}")
         for kind in self.kinds:
@@ -225,12 +222,12 @@ class Likelihood(Section):
         names = [name for name in ERRORS if name in LIKELIHOODS[kind].takes]
         return [(name, getattr(self, name)) for name in names]
 
-    def parameters(self, config):
-        """Key, unit and value of what may be random; the unit of sigma is that of what is measured."""
+    def parameters(self, key, config=None):
+        """Take the unit of what is measured for sigma."""
         sigma = "N" if config.cyclic is not None else SIGMA[MEASURED[config.data.quantity]]
         units = ERRORS | {"sigma": sigma}
         for name, value in dict(pair for kind in self.kinds for pair in self.parameters_of(kind)).items():
-            yield f"likelihood.{name}", units[name], value
+            yield f"{key}.{name}", units[name], value
 
 
 def check_parameter(entry, name, value) -> None:
@@ -265,7 +262,6 @@ class Sampler(Section):
 
     @model_validator(mode="after")
     def used(self):
-        """A kernel is one of SMC."""
         if "kernel" in self.model_fields_set and self.method != "smc":
             raise ValueError(f"must have `kernel` only with `method` smc, got {self.method!r}")
         return self

@@ -15,7 +15,7 @@ from pymc_features.structures import AffineStructure, Input, Kind, Structure, sp
 from pymc_features.update.config import entries
 from pymc_features.update.config.entries import GROUPS, ONE, TAPER, Matrix, Taper, evaluated, key, priors_in
 from pymc_features.update.config.keys import named_key
-from pymc_features.update.config.sections import Section, parameters_of
+from pymc_features.update.config.sections import Section
 
 MOST_MODES = 10
 CATALOGUE = {cls.__name__: cls for cls in (*structures.STRUCTURES, *specimens.SPECIMENS)}
@@ -105,7 +105,7 @@ class StructureOf:
 
     def __init__(self, section, folder):
         self.section, self.type, self.title = section, CATALOGUE[section.type], section.type
-        used = {at: list(priors_in(value)) for at, _, value in parameters_of("", section)}
+        used = {at: list(priors_in(value)) for at, _, value in section.parameters("")}
         self.names = sorted({one.prior for priors in used.values() for one in priors})
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
         self.__signature__ = inspect.Signature([inspect.Parameter(name, kind) for name in self.names])
@@ -125,7 +125,6 @@ class StructureOf:
         self.is_kept, self.kept = self.type is AffineStructure and is_damping_known, None
 
     def __call__(self, **values):
-        """Return the structure."""
         if self.kept is not None:
             return self.kept.with_parameters(evaluated(self.given["theta"], values))
         structure = self.type(**{name: built(value, values) for name, value in self.given.items()})

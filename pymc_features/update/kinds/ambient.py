@@ -7,15 +7,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pymc as pm
-import pytensor
 import pytensor.tensor as pt
 import xarray as xr
 from pydantic import Field, model_validator
 
 from pymc_features import plots
 from pymc_features.ambient import AmbientResponse, identify_modes, propose_bands, spectral_response
-from pymc_features.ambient.bands import Bands, band_transform, checked_bands, transfer_functions
-from pymc_features.ambient.response import parameters_of
+from pymc_features.ambient.bands import checked_bands
+from pymc_features.ambient.fit import fitted_spectra
 from pymc_features.exceptions import AmbientWarning, ConfigError
 from pymc_features.likelihoods import DIMS, Likelihood
 from pymc_features.records import Record
@@ -25,14 +24,13 @@ from pymc_features.update.config.entries import Vector, evaluated
 from pymc_features.update.config.keys import named_key, shown
 from pymc_features.update.config.sections import Section, Window, key
 from pymc_features.update.kinds import base, modal
-from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict
+from pymc_features.update.kinds.base import KindOfData, Verdict
 from pymc_features.update.kinds.channels import checked_dofs, read_whole
 
 AMBIENT = Likelihood(
     "AMBIENT",
     "Fourier transforms of the channels complex Gaussian, forces and errors white in each band",
     "C8",
-    lambda given: None,  # no response is compared in time
     takes=(),
 )
 Windows = Annotated[list[Window], Field(min_length=1)]
@@ -42,8 +40,6 @@ ERROR = "m^2/s^3"  # (m/s^2)^2/Hz
 PASSED = 0.4  # of the sampling rate: what decimation leaves as it was
 PARTNER = {"sigma_f": 0.01, "sigma_phi": 0.05}  # by which modes of the model are matched
 DRAWS = 50
-LEAKS = 8  # quarters of a resolution on each side from which averaged spectra take in
-FEWEST, PARTS = 24, 8  # frequencies of a part of a band, and parts of a band
 CERTAIN = 6.0  # standard deviations of a part of a band off
 MUCH = 1.5  # factor of the power that is worth a word
 GOT = 'with `data.excitation = "ambient"`, got it.'
@@ -69,16 +65,14 @@ class AmbientSection(Section):
 
     @model_validator(mode="after")
     def one_for_each_band(self):
-        """Lists need bands that are listed."""
         for name in ("force", "error"):
             if isinstance(getattr(self, name), list) and self.bands == "auto":
                 raise ValueError(f'must list `bands` where `{name}` is a list, got "auto"')
         return self
 
-    def parameters(self, config=None):
-        """Key, unit and value of what may be random."""
-        yield "ambient.force", UNITS[self.forces], self.force
-        yield "ambient.error", ERROR, self.error
+    def parameters(self, key, config=None):
+        yield f"{key}.force", UNITS[self.forces], self.force
+        yield f"{key}.error", ERROR, self.error
 
 
 @dataclass(frozen=True)
@@ -119,7 +113,6 @@ class Ambient(KindOfData):
 
     @classmethod
     def read(cls, problem):
-        """Read, correct and process the channels, and find bands if it is asked for."""
         config, asked = problem.config, problem.config.ambient
         dofs = checked_dofs(config, problem.expected.n_dof)
         n_bands = None if asked.bands == "auto" else len(asked.bands)
@@ -170,7 +163,6 @@ class Ambient(KindOfData):
 
     @property
     def duration(self) -> float:
-        """Duration of the record [s]."""
         return self.step * self.channels.sizes["time"]
 
     @property
@@ -191,7 +183,7 @@ class Ambient(KindOfData):
         return {"channels": self.channels.values, "bands": self.bands} | known
 
     def parameters(self, likelihood):
-        return [value for *_, value in self.config.ambient.parameters()]
+        return self.config.ambient.force, self.config.ambient.error
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         asked = self.config.ambient
@@ -206,7 +198,8 @@ class Ambient(KindOfData):
             AmbientResponse("y", spectra, error=error, dims=DIMS, **measured)
 
     def predict(self, problem, likelihood, model, idata):
-        return {"spectra": fitted_spectra(self, model, idata["posterior"].to_dataset())}
+        draws = base.thinned(idata["posterior"].to_dataset(), DRAWS)
+        return {"spectra": fitted_spectra(self.channels, self.bands, model, draws)}
 
     def shared(self, problem):
         """Averages of the spectra of the channels over twenty parts: singular values."""
@@ -225,7 +218,6 @@ class Ambient(KindOfData):
         yield f"data: {self.source}, {self.duration:.4g} s at {self.step:.4g} s"
 
     def check(self, problem, path):
-        """Draw the spectra with the bands; the line of the file with the bands."""
         wrote = base.drawn_to(path, self.draw)
         yield f"bands = [{', '.join(f'[{low:.4g}, {high:.4g}]' for low, high in self.bands)}]  # Hz"
         yield wrote
@@ -242,86 +234,6 @@ class Ambient(KindOfData):
 
     def verdict(self, problem, result, kind):
         return verdict_of_power(result[f"{kind}/spectra"].to_dataset())
-
-
-def fitted_spectra(ambient, model, posterior: xr.Dataset) -> xr.Dataset:
-    """Singular values of the spectra that a model makes, and how far the channels are from them.
-
-    `response` (quantile, value, frequency) are singular values of the expected spectra inside the bands, as
-    Welch's method sees them; `ratio` (part) is the power of the channels over what is expected, in all
-    directions alike, F' E^-1 F / s, on average, `sd` its error if the model is right. Where the base is
-    known, channels are less the response to it, on average, which is the `residual`.
-    """
-    from scipy import signal  # a second to import
-
-    if ambient.base is not None:
-        mean = np.mean([draw[-1] for draw in parts_of_draws(model, posterior)], axis=0)
-        ambient = replace(ambient, channels=ambient.channels - mean)
-    bands = checked_bands(ambient.bands, ambient.channels.sizes["time"], ambient.step, 0)
-    spectra = averaged_spectra(ambient.channels.values, ambient.step)
-    f, length = spectra.frequencies, spectra.length
-    band = np.searchsorted(ambient.bands[:, 0], f, side="right") - 1
-    inside = (band >= 0) & (f <= ambient.bands[band, 1])
-    # an averaged spectrum takes neighbouring frequencies together, by the transform of its window
-    offsets = np.arange(-LEAKS, LEAKS + 1) / 4.0
-    wave = np.exp(-2j * np.pi * np.outer(offsets, np.arange(length) / length))
-    kernel = np.abs(wave @ signal.get_window("hann", length)) ** 2
-    kernel /= kernel.sum()
-    fine = f[inside, None] + f[1] * offsets
-    transformed = band_transform(ambient.channels.values, bands.bins, bands.weights, ambient.step)
-    of_channels = (transformed[:, 0] + 1j * transformed[:, 1]).T
-    values, ratios = [], np.zeros(bands.bins.size)
-    own_band = np.repeat(np.arange(len(bands.limits)), np.diff(bands.starts))
-    for *parameters, _ in parts_of_draws(model, posterior):
-        expected = covariance(parameters, fine.ravel(), np.repeat(band[inside], offsets.size))
-        expected = expected.reshape(*fine.shape, *expected.shape[1:])
-        values.append(np.linalg.eigvalsh(np.einsum("o,koij->kij", kernel, expected))[:, ::-1])
-        whole = covariance(parameters, bands.frequencies, own_band)
-        solved = np.linalg.solve(whole, of_channels[..., None])[..., 0]
-        ratios += (of_channels.conj() * solved).sum(axis=1).real / of_channels.shape[1]
-    low, high, ratio, sd = by_parts(bands, ratios / len(values), of_channels.shape[1])
-    found = np.quantile(values, QUANTILES, axis=0).swapaxes(1, 2)
-    parts = {"response": (("quantile", "value", "frequency"), found, {"units": "(m/s^2)^2/Hz"})}
-    parts |= {"ratio": ("part", ratio), "sd": ("part", sd)}
-    parts |= {"low": ("part", low, {"units": "Hz"}), "high": ("part", high, {"units": "Hz"})}
-    coords = {"quantile": list(QUANTILES), "frequency": f[inside], "value": 1 + np.arange(found.shape[1])}
-    if ambient.base is not None:
-        parts["residual"] = ambient.channels
-    return xr.Dataset(parts, coords)
-
-
-def parts_of_draws(model, posterior: xr.Dataset):
-    """Frequencies, damping ratios, shapes, factors of forces, errors and means at draws of the posterior."""
-    few, names = base.thinned(posterior, DRAWS), [rv.name for rv in model.free_RVs]
-    settings = {"mode": "FAST_COMPILE", "on_unused_input": "ignore"}
-    function = pytensor.function([model[name] for name in names], parameters_of(model["y"]), **settings)
-    for chain, draw in np.ndindex(few.sizes["chain"], few.sizes["draw"]):
-        one = few.isel(chain=chain, draw=draw)
-        yield function(*(one[name].values for name in names))
-
-
-def covariance(parameters, frequencies, band) -> np.ndarray:
-    """E (k, s, s) of accelerations at frequencies [Hz], each in a band."""
-    natural, ratios, shapes, factor, error = parameters
-    transfer = transfer_functions(natural, ratios, np.maximum(frequencies, 1e-12))
-    forces = (factor[..., 0] + 1j * factor[..., 1])[band]
-    roots = shapes.T @ (transfer[..., None] * forces)
-    found = roots @ roots.conj().transpose(0, 2, 1)
-    diagonal = np.arange(shapes.shape[1])
-    found[:, diagonal, diagonal] += error[band]
-    return found
-
-
-def by_parts(bands: Bands, values, n_sensors: int) -> np.ndarray:
-    """First and last frequency [Hz], mean, and its standard deviation, of parts of each band (4, part)."""
-    rows = []
-    for first, last in zip(bands.starts[:-1], bands.starts[1:], strict=True):
-        used = first + np.flatnonzero(bands.weights[first:last])
-        n_parts = int(np.clip(used.size // FEWEST, 1, PARTS))
-        for part in np.array_split(used, n_parts):
-            ends = bands.frequencies[part[[0, -1]]]
-            rows.append((*ends, values[part].mean(), 1.0 / np.sqrt(part.size * n_sensors)))
-    return np.array(rows).T
 
 
 def verdict_of_power(fitted) -> Verdict:

@@ -1,6 +1,7 @@
 """What every kind of data says of itself, and the PyMC model and draws of a problem that kinds share."""
 
 import io
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +24,8 @@ CHECK_DPI, REPORT_DPI = 120, 110
 SENSORS = ("sensor", "degree of freedom", "peak [m/s²]", "rms [m/s²]")
 QUANTILES = (0.05, 0.5, 0.95)
 MODAL_DRAWS = 500
+SHAPES, MODES = 100, 10  # draws, and modes at least
+MOST_POINTS = 1000  # of a shape that is drawn
 
 
 class Verdict(NamedTuple):
@@ -56,6 +59,7 @@ class KindOfData:
 
     key: str  # name of its section in the file, and the section
     section: type[Section]
+    asked: Section  # what the file says
     own: tuple[Likelihood, ...] = ()  # likelihoods that no other kind has
     refused: dict[str, str] = {}  # sections and keys that mean nothing beside it, to what is said of them
     is_checked: bool = True  # whether `read` looks for what is wrong
@@ -89,8 +93,8 @@ class KindOfData:
         raise NotImplementedError
 
     def parameters(self, likelihood: str):
-        """Values of the file that are random under a likelihood, besides those of the structure."""
-        return ()
+        """Values of the file that may be random under a likelihood, besides those of the structure."""
+        return [value for *_, value in self.asked.parameters(self.key)]
 
     def declare(self, problem, likelihood: str, structure, values, tolerance) -> None:
         """Add what was measured to the PyMC model of the context; `values` are the variables by name."""
@@ -245,8 +249,8 @@ def thinned(posterior: xr.Dataset, draws: int) -> xr.Dataset:
 
 def modes_of_draws(problem, draws: xr.Dataset, n_modes: int | None):
     """Place (chain, draw) and modes of each draw, those without a structure left out."""
-    names, shape = problem.structure.names, (draws.sizes["chain"], draws.sizes["draw"])
-    columns = {name: draws[name].transpose("chain", "draw").values.ravel() for name in names}
+    shape = draws.sizes["chain"], draws.sizes["draw"]
+    columns = {n: draws[n].transpose("chain", "draw").values.ravel() for n in problem.structure.names}
     k = None
     for k, found in possible_modes(problem.structure, columns, lambda one: modes_of(one, n_modes)):
         yield np.unravel_index(k, shape), found
@@ -256,15 +260,86 @@ def modes_of_draws(problem, draws: xr.Dataset, n_modes: int | None):
 
 def frequencies(problem, posterior: xr.Dataset) -> xr.Dataset:
     """Natural frequencies [Hz] and damping ratios [-] of draws (chain, draw, mode); NaN if impossible."""
-    few, found = thinned(posterior[problem.structure.names], MODAL_DRAWS), None
-    for (chain, draw), one in modes_of_draws(problem, few, problem.structure.n_modes):
-        if found is None:
-            n_modes = one.natural_frequencies.size
-            found = np.full((2, few.sizes["chain"], few.sizes["draw"], n_modes), np.nan)
-        found[:, chain, draw] = one.natural_frequencies, one.damping_ratios
-    dims = ("chain", "draw", "mode")
-    parts = {
-        "natural_frequency": (dims, found[0], {"units": "Hz"}),
-        "damping_ratio": (dims, found[1], {"units": "1"}),
-    }
+    few, dims = thinned(posterior[problem.structure.names], MODAL_DRAWS), ("chain", "draw", "mode")
+    modes = modes_of_draws(problem, few, problem.structure.n_modes)
+    numbers = {at: (one.natural_frequencies, one.damping_ratios) for at, one in modes}
+    n_modes = next(iter(numbers.values()))[0].size
+    found = np.full((2, few.sizes["chain"], few.sizes["draw"], n_modes), np.nan)
+    for at, pair in numbers.items():
+        found[:, *at] = pair
+    columns = zip(("natural_frequency", "damping_ratio"), found, ("Hz", "1"), strict=True)
+    parts = {name: (dims, values, {"units": unit}) for name, values, unit in columns}
     return xr.Dataset(parts, {"chain": few["chain"], "draw": few["draw"], "mode": 1 + np.arange(n_modes)})
+
+
+class Points(NamedTuple):
+    """What is drawn of a shape."""
+
+    dofs: np.ndarray  # (p,) degree of freedom of each point, -1 of one that is held
+    nodes: dict | None  # as `plots.mode_shapes` takes it; None for the storeys of a chain
+
+    def entries(self, shapes: np.ndarray) -> np.ndarray:
+        """Take the points (..., p) of shapes (..., n_dof), zero where they are held."""
+        return np.where(self.dofs < 0, 0.0, shapes[..., self.dofs])
+
+    def of(self, dofs) -> list[int]:
+        """The point of each of some degrees of freedom."""
+        found = self.dofs.tolist()
+        return [found.index(dof) for dof in dofs]
+
+
+def points_of(problem) -> Points:
+    """What is drawn of a mode shape: nodes of a file, or degrees of freedom along their numbers."""
+    modal, n = problem.modal, problem.expected.n_dof
+    if modal is not None and modal.nodes is not None:
+        return modal.nodes
+    kept = np.unique(np.linspace(0, n - 1, min(n, MOST_POINTS)).astype(int))
+    return Points(np.union1d(kept, [*problem.first.dofs, *(modal.dofs if modal else [])]).astype(int), None)
+
+
+def geometry(problem) -> xr.Dataset:
+    """Places [m] of the points that are drawn, the directions in which they move, and lines between them."""
+    points, modal = points_of(problem), problem.modal
+    n, drawn = len(points.dofs), points.dofs.tolist()
+    style = "storeys" if problem.structure.has_storeys else "entries"
+    places, lines = np.outer(1.0 + points.dofs, [0.0, 0.0, 1.0]), [list(range(n))]
+    directions = [[1.0, 0.0, 0.0]] * n
+    if points.nodes is not None:
+        style, lines = "nodes", points.nodes["lines"]
+        places = np.array(points.nodes["coordinates"], dtype=float)
+        spread = np.ptp(places, axis=0)  # along x where heights differ most, else along z
+        default = [1.0, 0.0, 0.0] if spread[2] >= spread.max() > 0.0 else [0.0, 0.0, 1.0]
+        directions = points.nodes.get("directions", [default] * n)
+    sensors = {name: drawn.index(dof) for name, dof in problem.first.placed.items() if dof in drawn}
+    attrs = {"style": style, "lines": json.dumps(lines), "sensors": json.dumps(sensors)}
+    if modal is not None and len(modal.dofs):
+        attrs["channels"] = json.dumps(points.of(modal.dofs))
+    axes = ("point", "axis")
+    columns = {"place": (axes, places), "direction": (axes, np.array(directions, dtype=float))}
+    return xr.Dataset(columns, {"dof": ("point", points.dofs)}, attrs)
+
+
+def mode_shapes(problem, posterior: xr.Dataset) -> xr.Dataset:
+    """Mode shapes of the model at some draws, the first of which is the one nearest to the medians.
+
+    `shape` (sample, mode, point) has a largest entry of 1 and the sign of the first sample; `frequency`
+    (sample, mode) is in Hz.
+    """
+    points, draws = points_of(problem), posterior[problem.structure.names]
+    wanted = max(problem.structure.n_modes or MODES, 0 if problem.modal is None else problem.modal.n_modes)
+    away = (((draws - draws.median()) / draws.std()) ** 2).to_dataarray().sum("variable")
+    nearest = {dim: [int(at)] for dim, at in away.argmin(["chain", "draw"]).items()}
+    chosen = draws.isel(nearest), thinned(draws, SHAPES)
+    found = [modes for few in chosen for _, modes in modes_of_draws(problem, few, wanted)]
+    shapes = np.array([points.entries(one.mode_shapes.T[:wanted]) for one in found])
+    largest = np.take_along_axis(shapes, np.abs(shapes).argmax(axis=-1)[..., None], axis=-1)
+    shapes = shapes / np.where(largest == 0.0, 1.0, largest)
+    shapes *= np.where((shapes * shapes[0]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+    values = np.array([one.natural_frequencies[:wanted] for one in found])
+    return xr.Dataset(
+        {
+            "shape": (("sample", "mode", "point"), shapes.astype(np.float32)),
+            "frequency": (("sample", "mode"), values, {"units": "Hz"}),
+        },
+        {"mode": 1 + np.arange(values.shape[1])},
+    )

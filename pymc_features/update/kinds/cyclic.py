@@ -61,7 +61,6 @@ class Cyclic(Histories):
 
     @classmethod
     def read(cls, problem):
-        """Read displacement and force; files are relative to the folder."""
         asked = problem.config.cyclic
         names = [asked.files] if isinstance(asked.files, str) else asked.files
         paths = [problem.folder / name for name in names]
@@ -89,7 +88,6 @@ class Cyclic(Histories):
         yield f"data: {self.source}; {self.record}"
 
     def check(self, problem, path):
-        """Draw measured loops and what the priors expect of them; how much of it they hold."""
         force, found = self.channels, self.expected(problem)
         wrote = drawn_to(path, lambda: plots.loops(found, measured=force))
         low, *_, high = found[self.quantity].transpose("quantile", "sensor", "time").values
@@ -98,7 +96,6 @@ class Cyclic(Histories):
         yield wrote
 
     def tables(self, problem, result):
-        """Add where displacement and force come from, and how large they are."""
         displacement, force = self.record.displacement, self.channels.values[0]
         rows = [
             (name, f"{values.min():.4g}", f"{values.max():.4g}")
@@ -117,7 +114,6 @@ class Cyclic(Histories):
         return {"loops": lambda: plots.loops(found, measured=force)}
 
     def verdict(self, problem, result, kind):
-        """Whether the median force meets the measured one."""
         displacement = self.record.displacement
         force = result[kind]["observed_data"]["y"].values[0]
         model = result[kind]["bands"]["response"].sel(quantile=0.5).values[0]

@@ -51,7 +51,6 @@ class EventsSection(Section):
 
     @model_validator(mode="after")
     def one_source(self):
-        """A folder or a list."""
         if (self.folder is None) == (self.files is None):
             raise ValueError("must have one of the keys `folder` and `files`, got both or neither")
         if self.pattern is not None and self.folder is None:
@@ -68,6 +67,7 @@ class Events(Responses):
     events: dict[str, Responses] = field(default_factory=dict)  # by name, in their order
 
     key, section = "events", EventsSection
+    refused = {"data.dataset": "with [events], got it. Name the files of each event."}
 
     @classmethod
     def is_asked(cls, config):
@@ -79,10 +79,6 @@ class Events(Responses):
             raise ConfigError(
                 "`events` must be left out without [data], got it. Events are measured responses; several "
                 "tests of modes are rows of one table."
-            )
-        if config.data.dataset is not None:
-            raise ConfigError(
-                "`events` must be left out with `data.dataset`, got both. Name the files of each event."
             )
         super().check_sections(config)
         if refused := [kind for kind in config.likelihood.kinds if kind not in WITH_EVIDENCE]:
@@ -136,7 +132,6 @@ class Events(Responses):
 
     @property
     def identity(self):
-        """What all events are recognised by."""
         keys = "base_sha256", "base_interpolation", "channels_sha256"
         prints = [[name, *map(event.prints().get, keys)] for name, event in self.events.items()]
         return hashlib.sha256(json.dumps(prints).encode()).hexdigest()
@@ -152,13 +147,9 @@ class Events(Responses):
                 yield one if isinstance(one, dict) else f"{name}: {one}"
 
     def check(self, problem, path):
-        """Each event into a file of its own."""
         for number, event in enumerate(self.events.values(), 1):
             at = path.with_name(f"{path.stem}-{number}{path.suffix}")
             yield from event.check(self.at(problem, event), at)
-
-    def foretold(self, problem, several=()):
-        return super().foretold(problem, self.events.values())
 
     def sample(self, problem, likelihood, model, seed, running):
         """The posterior after the last event; that after each one is kept in a folder for each likelihood."""
@@ -185,7 +176,6 @@ class Events(Responses):
         return idata, model
 
     def sentences(self, problem, result, explains):
-        """Whether the structure has changed under the first likelihood."""
         kind = kinds_of(result)[0]
         record = result[kind]["sequence"].to_dataset()
         names, changed = record["name"].values, record["probability_changed"].values

@@ -50,7 +50,6 @@ class ExternalSection(Section):
 
     @model_validator(mode="after")
     def takes_something(self):
-        """A program without parameters is always the same."""
         texts = [self.program] if isinstance(self.program, str) else self.program
         if not self.template and not any("{{" in text for text in texts):
             raise ValueError(
@@ -59,10 +58,9 @@ class ExternalSection(Section):
             )
         return self
 
-    def parameters(self, config):
-        """Key, unit and value of what is random."""
+    def parameters(self, key, config=None):
         for name, unit in self.units.items():
-            yield f"external.units.{name}", unit, Parameter(prior=name)
+            yield f"{key}.units.{name}", unit, Parameter(prior=name)
 
 
 class ProgramOf:
@@ -76,7 +74,6 @@ class ProgramOf:
         self.title = section.program if isinstance(section.program, str) else " ".join(section.program)
 
     def __call__(self, **values):
-        """The parameters in their order."""
         return [values[name] for name in self.names]
 
 
@@ -111,7 +108,6 @@ class External(Histories):
 
     @classmethod
     def read(cls, problem):
-        """The channels, and the program with the shape that they need."""
         config, asked = problem.config, problem.config.external
         channels, step, source = read_whole(config, problem.folder)
         channels = channels.drop_vars("units", errors="ignore")
@@ -171,7 +167,6 @@ class External(Histories):
         yield f"program: {' '.join(self.simulator.function.command)}"
 
     def check(self, problem, path):
-        """Run the program once, at the medians of the priors."""
         middle = {name: problem.priors[name].median for name in problem.structure.names}
         values = ", ".join(f"{name} = {value:.4g}" for name, value in middle.items())
         start, known = time.perf_counter(), self.simulator.counts["cached"]

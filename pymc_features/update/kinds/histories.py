@@ -18,6 +18,7 @@ from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison, abc_toleran
 from pymc_features.ops import response
 from pymc_features.ops.excitation import request_in_model
 from pymc_features.prediction import posterior_response
+from pymc_features.prediction.components import principal_components
 from pymc_features.prediction.draws import structure_draws
 from pymc_features.records import CyclicTest, Record
 from pymc_features.simulators.quantities import checked_request
@@ -31,7 +32,6 @@ from pymc_features.update.templates.numbers import interval_texts
 DRAWS = 200
 #: Likelihoods whose posterior has an evidence, and may be the prior of another.
 WITH_EVIDENCE = [name for name, one in LIKELIHOODS.items() if not (one.calibrates or one.is_likelihood_free)]
-COMPONENTS, HELD = 6, 0.999  # at most so many, or as many as hold this share of the variance of responses
 UNEXPLAINED = 0.35  # rms error over measured rms: more is no explanation, unless it is noise
 NARROW, DENSE = 0.1, 0.3  # white noise has less than this share of its energy in a tenth of the frequencies
 ROUGH = 0.15  # rms error over measured rms that is worth a word where it is structured
@@ -55,6 +55,7 @@ class Histories(KindOfData):
     first: int = 0  # sample of the response that the first of the channels is compared with
 
     n_predicted: ClassVar[int] = DRAWS
+    events: ClassVar[dict] = {}
 
     @classmethod
     def check_sections(cls, config):
@@ -94,12 +95,10 @@ class Histories(KindOfData):
 
     @property
     def quantity(self) -> str:
-        """The quantity of the response that is compared."""
         return self.config.data.quantity
 
     @property
     def units(self) -> str:
-        """Units of the channels."""
         return self.channels.attrs.get("units", "m/s^2")
 
     @property
@@ -134,14 +133,12 @@ class Histories(KindOfData):
     def prints(self):
         return super().prints() | {"base_interpolation": self.record.interpolation}
 
-    def foretold(self, problem, several=()):
-        """What likelihoods that count sensors cannot tell, perhaps of several records."""
-        n_unknown, m = len(problem.structure.names), self.config.likelihood.m
+    def foretold(self, problem):
+        """What likelihoods that count sensors cannot tell, perhaps of several events."""
+        n_unknown, m, several = len(problem.structure.names), self.config.likelihood.m, self.events.values()
         advice = "" if several else " CAL counts what the residuals support."
-        counts = {
-            kind: [LIKELIHOODS[kind].claimed(one.samples, m) for one in several or [self]]
-            for kind in self.likelihoods
-        }
+        claims = {kind: LIKELIHOODS[kind].claimed for kind in self.likelihoods}
+        counts = {kind: [of(one.samples, m) for one in several or [self]] for kind, of in claims.items()}
         return [
             f"{kind} counts {sum(each):.0f} observations for {n_unknown} unknown parameters of the structure"
             f": expect a posterior that is not much narrower than the prior.{advice}"
@@ -209,7 +206,7 @@ class Histories(KindOfData):
             return {
                 "observed_data": xr.Dataset({"y": self.with_units}),
                 "bands": self.bands(problem, likelihood, model, idata, response),
-                "histories": components_of(blocks, median, labels),
+                "histories": principal_components(blocks, median, labels),
             }
 
     @contextmanager
@@ -263,7 +260,6 @@ class Histories(KindOfData):
         return {"data": xr.Dataset({"measured": self.with_units}, attrs={"source": self.source})}
 
     def sentences(self, problem, result, explains):
-        """Gaps, and how many observations the residuals support."""
         if self.left_out:
             yield f"Left out as gaps: {self.left_out}.", True
         kinds = kinds_of(result)
@@ -302,7 +298,6 @@ class Histories(KindOfData):
         return error, part["bands"]["normalised_error"].values, structured
 
     def verdict(self, problem, result, kind):
-        """Whether the median response meets what was measured, but for noise."""
         sensors = result[kind]["bands"]["sensor"].values.astype(str)
         _, relative, structured = self.errors(result[kind])
         bad, rough = structured & (relative > UNEXPLAINED), structured & (relative > ROUGH)
@@ -315,7 +310,6 @@ class Histories(KindOfData):
         return Verdict(told, not bad.any())
 
     def tables(self, problem, result):
-        """How each likelihood meets the responses, and the largest values of other responses."""
         fit, peaks = [], []
         for kind in kinds_of(result):
             bands = result[kind]["bands"].to_dataset()
@@ -379,38 +373,6 @@ def predictive(model, idata, draws: int) -> np.ndarray:
     )
     values = drawn["posterior_predictive"]["y"].values
     return np.nanquantile(values.reshape(-1, *values.shape[2:]), QUANTILES, axis=0)
-
-
-def components_of(blocks, median, labels) -> xr.Dataset:
-    """Responses of some draws, less their median, by principal components: a page shows any, and holds few.
-
-    The deviations D (sensor and time, draw) have the Gram matrix D'D = V diag(s^2) V'; the components are
-    U = D V with the largest s, and a draw is the median plus U times its row of V. The share of the variance
-    that is held is in `attrs`.
-    """
-
-    def deviations():
-        for first, values in blocks():
-            part = slice(first, first + values.shape[1])
-            yield part, values - median.values[:, part, None]
-
-    gram = sum(np.einsum("rta,rtb->ab", d, d) for _, d in deviations())
-    squares, vectors = np.linalg.eigh(gram)
-    squares, vectors = np.maximum(squares[::-1], 0.0), vectors[:, ::-1]
-    total = squares.sum()
-    share = np.cumsum(squares) / total if total > 0.0 else np.ones(len(squares))
-    n = min(int(np.searchsorted(share, HELD)) + 1, COMPONENTS, len(squares))
-    component = np.zeros((n, *median.shape), np.float32)
-    for part, d in deviations():
-        component[:, :, part] = np.einsum("rts,sc->crt", d, vectors[:, :n])
-    return xr.Dataset(
-        {
-            "component": (("component", *median.dims), component),
-            "coefficient": (("sample", "component"), vectors[:, :n]),
-        },
-        {"sensor": median["sensor"], "time": median["time"], **labels},
-        {"share": float(share[n - 1])},
-    )
 
 
 def bounds_of(part) -> dict[str, float]:

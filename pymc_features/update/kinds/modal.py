@@ -18,13 +18,22 @@ from pymc_features.likelihoods import LIKELIHOODS, Likelihood
 from pymc_features.modal import ModalData, ModalFeature, match_modes, merge_setups, modes
 from pymc_features.modal.feature import checked_parameters
 from pymc_features.modal.files import read_modal
+from pymc_features.modal.files.nodes import read_nodes
 from pymc_features.modal.identified import identified
 from pymc_features.update.config.entries import Vector, evaluated
 from pymc_features.update.config.keys import named_key, refuse, shown
-from pymc_features.update.config.sections import Names, Section, key, parameters_of
+from pymc_features.update.config.sections import Names, Section, key
 from pymc_features.update.kinds import base
-from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict, kinds_of, table
-from pymc_features.update.kinds.shapes import Points, mode_shapes, points_of, read_nodes
+from pymc_features.update.kinds.base import (
+    QUANTILES,
+    KindOfData,
+    Points,
+    Verdict,
+    kinds_of,
+    mode_shapes,
+    points_of,
+    table,
+)
 from pymc_features.update.plausibility.findings import of_modes
 from pymc_features.update.templates.numbers import Scale, fixed
 
@@ -32,7 +41,6 @@ MODAL = Likelihood(
     "MODAL",
     "errors of ln f Gaussian, 1 - MAC as the feature of Eq. (3), modes matched at every evaluation",
     "C9",
-    lambda given: None,  # no response is compared in time
     takes=(),
 )
 SCALE = "the name of a prior or a number, one or one for each mode"
@@ -87,32 +95,21 @@ class ModalSection(Section):
 
     @model_validator(mode="after")
     def one_source(self):
-        """One file, or several with references."""
         if (self.file is None) == (self.files is None):
             raise ValueError("must have one of the keys `file` and `files`, got both or neither")
         if self.references is not None and self.files is None:
             raise ValueError("must have `references` only with `files`, got them with `file`")
-        if not self.shapes:
-            for name in ("channels", "scale", "sigma_phi", "nodes", "density"):
-                if name in self.model_fields_set:
-                    raise ValueError(f"must have `{name}` only with shapes, got it with shapes = false")
         if isinstance(self.density, float) and self.density <= 0.0:
             raise ValueError(f"must have positive degrees of freedom as `density`, got {self.density:g}")
         return self
-
-    def parameters(self, config):
-        """Key, unit and value of what may be random."""
-        return parameters_of("modal", self)
 
 
 class ModeRow(NamedTuple):
     """One identified mode and its partners in the draws."""
 
     name: str  # its number in the file, and its label
-    measured: float  # [Hz], and 5, 50 and 95 % of the model [Hz]
-    low: float
-    middle: float
-    high: float
+    measured: float  # [Hz]
+    model: tuple[float, float, float]  # 5, 50 and 95 % of the frequency of its partner [Hz]
     mac: tuple[float, float, float]  # 5, 50 and 95 %; NaN without a shape
     partner: int  # mode of the model that most draws take, 1 the lowest
     share: float  # of the draws that take it
@@ -120,16 +117,15 @@ class ModeRow(NamedTuple):
 
     @property
     def off(self) -> float:
-        """Median of the model over the measurement, less one."""
-        return self.middle / self.measured - 1.0
+        return self.model[1] / self.measured - 1.0
 
     def deviation(self, sd: float) -> float:
         """How many standard deviations the median of the model is off, if that of the measurement is `sd`."""
-        return (self.middle - self.measured) / float(np.hypot(sd, (self.high - self.low) / WIDTH))
+        low, middle, high = self.model
+        return (middle - self.measured) / float(np.hypot(sd, (high - low) / WIDTH))
 
     @property
     def has_partner(self) -> bool:
-        """Return whether the mode has a partner in most draws."""
         return self.strangers <= MOST
 
     @property
@@ -137,7 +133,7 @@ class ModeRow(NamedTuple):
         """Texts of the row, in the order of `COLUMNS`."""
         low, middle, high = self.mac
         of_shape = ("", "") if np.isnan(middle) else (f"{middle:.3f}", f"{low:.3f}-{high:.3f}")
-        quantiles = fixed((self.low, self.middle, self.high), (self.high - self.low) / WIDTH, HERTZ)
+        quantiles = fixed(self.model, (self.model[2] - self.model[0]) / WIDTH, HERTZ)
         numbers = f"{self.measured:.4g}", *quantiles, f"{100.0 * self.off:+.2f} %"
         return self.name, *numbers, *of_shape, f"f{self.partner}" if self.has_partner else "none"
 
@@ -173,7 +169,6 @@ class Modal(KindOfData):
 
     @classmethod
     def read(cls, problem):
-        """Read the modes of [modal]; it warns of what is suspicious about them."""
         section, folder, structure = problem.config.modal, problem.folder, problem.expected
         files = [section.file] if section.files is None else section.files
         source = ", ".join(Path(file).name for file in files)
@@ -208,9 +203,9 @@ class Modal(KindOfData):
             )
         nodes = None
         if dofs and section.nodes is not None:
-            with named_key("modal.nodes"):
+            with named_key("modal", nodes="modal.nodes"):
                 channels = dict(zip(data.channels, dofs, strict=True))
-                nodes = read_nodes(folder / section.nodes, channels, structure.n_dof)
+                nodes = Points(*read_nodes(folder / section.nodes, channels, structure.n_dof))
         most = most_modes(structure)
         n_modes = min(most, n + SPARE) if section.n_modes is None else section.n_modes
         if not n <= n_modes <= most:
@@ -235,7 +230,6 @@ class Modal(KindOfData):
 
     @property
     def sentence(self) -> str:
-        """What they are, and where they come from."""
         at = f" at {len(self.dofs)} channels" if self.dofs else " without shapes"
         return f"{self.used.replace('identified ', '')}{at} from {self.source}"
 
@@ -256,9 +250,6 @@ class Modal(KindOfData):
         if self.asked.density == "NORMAL":
             found["shape_sd"] = data.shape_sd
         return {f"modal_{name}": values for name, values in found.items() if values is not None}
-
-    def parameters(self, likelihood):
-        return self.asked.sigma_f, self.asked.sigma_phi, self.asked.sigma_zeta
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         """Add the modes; where residuals of responses decide the width, as a factor of the prior."""
@@ -301,10 +292,13 @@ class Modal(KindOfData):
         for k, (name, measured) in enumerate(zip(self.names, self.data.frequencies.tolist(), strict=True)):
             one = matched.isel(identified=k)
             values, counts = np.unique(one["model_mode"].values, return_counts=True)
-            frequency, mac = (np.quantile(one[key].values, QUANTILES) for key in ("frequency", "mac"))
+            numbers = [
+                tuple(np.quantile(one[key].values, QUANTILES).tolist()) for key in ("frequency", "mac")
+            ]
             most, share = 1 + int(values[counts.argmax()]), float(counts.max() / counts.sum())
-            strangers, mac = 1.0 - float(one["has_partner"].mean()), tuple(mac.tolist())
-            found.append(ModeRow(name, measured, *frequency.tolist(), mac, most, share, strangers))
+            found.append(
+                ModeRow(name, measured, *numbers, most, share, 1.0 - float(one["has_partner"].mean()))
+            )
         return found
 
     def shared(self, problem):
@@ -336,7 +330,7 @@ class Modal(KindOfData):
         cells = [row.cells for row in rows]
         yield table("modes", "modes", "Identified modes [Hz], and the model under the priors", COLUMNS, cells)
         yield from modes_verdict(rows).sentences
-        outside = [row for row in rows if not row.low <= row.measured <= row.high]
+        outside = [row for row in rows if not row.model[0] <= row.measured <= row.model[2]]
         if outside:
             named = ", ".join(f"{row.name} ({row.measured:.4g} Hz)" for row in outside)
             yield f"Outside of what the priors expect (5 to 95 %): {named}."
@@ -345,7 +339,6 @@ class Modal(KindOfData):
             yield base.drawn_to(path, [*figures.values()][-1])
 
     def tables(self, problem, result):
-        """Frequencies with standard deviations, damping, the places of channels; and those of the model."""
         data = self.data
         columns = [self.names, [f"{f:.4g}" for f in data.frequencies]]
         for values, factor in ((data.frequency_sd, 1.0), (data.damping_ratios, 100.0)):
@@ -403,7 +396,6 @@ class Modal(KindOfData):
 
 
 def most_modes(structure) -> int:
-    """Modes of a structure that can be chosen from."""
     return structure.n_dof if structure.has_storeys else structure.n_modes
 
 
@@ -415,7 +407,7 @@ def modes_verdict(rows: list[ModeRow]) -> Verdict:
         of_shape = "" if np.isnan(row.mac[1]) else f", MAC {row.mac[1]:.2f}"
         told.append(
             f"The model has no partner for the identified mode {row.name} ({row.measured:.4g} Hz): the best "
-            f"that is left is at {row.middle:.4g} Hz{of_shape}."
+            f"that is left is at {row.model[1]:.4g} Hz{of_shape}."
         )
     if partners:
         some = f"{len(partners)} of {n} identified modes" if strangers else f"all {n} identified modes"
@@ -440,11 +432,10 @@ def modes_verdict(rows: list[ModeRow]) -> Verdict:
 def at_channels(section, data, structure, source) -> tuple[ModalData, list[int]]:
     """The modes at the channels that are compared, in their sense, and their places; or frequencies alone."""
     if data.shapes is None or not section.shapes:
-        for name in ("channels", "scale", "sigma_phi", "nodes"):
-            if getattr(section, name) is not None:
-                raise ConfigError(
-                    f"`modal.{name}` must be left out without shapes, got it. {source} has frequencies alone."
-                )
+        of_shapes = ("channels", "scale", "sigma_phi", "nodes") + ("density",) * (not section.shapes)
+        for name in filter(section.model_fields_set.__contains__, of_shapes):
+            why = f"{source} has frequencies alone" if section.shapes else "It says shapes = false"
+            raise ConfigError(f"`modal.{name}` must be left out without shapes, got it. {why}.")
         return replace(data, **WITHOUT_SHAPES), []
     if section.channels is None:
         raise ConfigError(

@@ -15,16 +15,14 @@ from pymc_features.modal.frequency_response import FrequencyResponse, MeasuredMo
 from pymc_features.modal.transfer import unit_responses
 from pymc_features.update.config.entries import Vector, evaluated, priors_in
 from pymc_features.update.config.keys import named_key
-from pymc_features.update.config.sections import Section, Window, key, parameters_of
+from pymc_features.update.config.sections import Section, Window, key
 from pymc_features.update.kinds import base
 from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict, kinds_of, table
 from pymc_features.update.plausibility.findings import of_modes
 
-FRF = Likelihood(
-    "FRF", "modes of response functions, each with one error of the model", "C8", lambda given: None, takes=()
-)
+FRF = Likelihood("FRF", "modes of response functions, each with one error of the model", "C8", takes=())
 DRAWS, LINES = 200, 600  # of a posterior, and of the lines, that are predicted
-SD, FAR = 2.0 * 1.645, 3.0  # between 5 and 95 %; standard deviations of a mode that the model does not have
+FAR = 3.0  # standard deviations of a mode that the model does not have
 LOW = 0.8  # coherence that is worth a word
 PLACES = "a table of labels in the files to degrees of freedom, 0 next to the base"
 ERROR = "the name of a prior or a number, the error of the model"
@@ -46,10 +44,6 @@ class FrequencyResponseSection(Section):
     sigma_zeta: Vector = key(f"{ERROR} in ln zeta", unit="-")
     sigma_phi: Vector = key(f"{ERROR} of shapes, relative", unit="-")
 
-    def parameters(self, config):
-        """Key, unit and value of what may be random."""
-        return parameters_of("frequency_response", self)
-
 
 @dataclass(frozen=True)
 class FrequencyResponses(KindOfData):
@@ -67,7 +61,6 @@ class FrequencyResponses(KindOfData):
 
     @classmethod
     def read(cls, problem):
-        """Read the functions, and fit their modes; it warns where the priors do not expect these."""
         asked, n = problem.config.frequency_response, problem.expected.n_dof
         files = [asked.files] if isinstance(asked.files, str) else asked.files
         for name in ("sigma_f", "sigma_zeta", "sigma_phi"):
@@ -116,11 +109,7 @@ class FrequencyResponses(KindOfData):
     def placed(self):
         return dict(zip(self.measured.data["response"].values.tolist(), self.dofs, strict=True))
 
-    def parameters(self, likelihood):
-        return self.asked.sigma_f, self.asked.sigma_zeta, self.asked.sigma_phi
-
     def declare(self, problem, likelihood, structure, values, tolerance):
-        """Add the modes with their errors."""
         names = "sigma_f", "sigma_zeta", "sigma_phi"
         pairs = zip(names, self.parameters(likelihood), strict=True)
         given = {name: evaluated(value, values) for name, value in pairs}
@@ -184,7 +173,6 @@ class FrequencyResponses(KindOfData):
                 yield f"The coherence of {label} is below {LOW:g} on average: noise, or forces not measured."
 
     def tables(self, problem, result):
-        """Measured modes, and those of the model that are nearest."""
         modes = self.measured.fit.modes
         rows = []
         for kind in kinds_of(result):
@@ -203,7 +191,6 @@ class FrequencyResponses(KindOfData):
         return {"response_functions": lambda: plots.response_functions(found)} if "size" in found else {}
 
     def verdict(self, problem, result, kind):
-        """Whether each mode of the model is where the measured one is, within the errors that it has."""
         found, posterior = result[f"{kind}/functions"].to_dataset(), result[f"{kind}/posterior"].to_dataset()
         modes, sd = self.measured.fit.modes, self.deviations
         names = [item.prior for item in priors_in(self.asked.sigma_f)]

@@ -66,7 +66,6 @@ class Responses(Histories):
 
     @classmethod
     def read(cls, problem):
-        """The channels, processed, and where they are on the structure."""
         dofs = files.checked_dofs(problem.config, problem.expected.n_dof)
         return cls.of_files(problem, problem.config, problem.folder, dofs).check_likelihood(problem)
 
@@ -214,7 +213,6 @@ class Responses(Histories):
             yield f"left out as gaps: {self.left_out}"
 
     def check(self, problem, path):
-        """Draw priors and channels; gains, and how coarse the base is sampled."""
         densities = {name: prior.density for name, prior in problem.priors.items()}
         expected = self.expected(problem)[self.quantity].transpose("quantile", ..., "time")
         bands = expected.values[..., self.window]
@@ -230,7 +228,6 @@ class Responses(Histories):
         yield wrote
 
     def tables(self, problem, result):
-        """Add the channels, and how they compare with the base."""
         more = f", of the base at {self.record.dt:.6g} s. The channels were {self.checked.rstrip('.')}. "
         if self.left_out:
             more += "Peaks, root mean squares and errors are those of the samples that are left."
@@ -245,7 +242,6 @@ class Responses(Histories):
         }
 
     def verdict(self, problem, result, kind):
-        """Whether the median response explains what was measured, and where it does not."""
         part = result[kind]
         modes = part["modal"].to_dataset().median(["chain", "draw"])
         frequencies, ratios = modes["natural_frequency"].values, modes["damping_ratio"].values

@@ -9,7 +9,7 @@ import xarray as xr
 
 from pymc_features import plots
 from pymc_features.exceptions import ConfigError
-from pymc_features.records import Record
+from pymc_features.plots.histories import record_of
 from pymc_features.storage import netcdf_bytes, write_atomically
 from pymc_features.update.kinds.base import kinds_of, png
 from pymc_features.update.predictions import check_predictions, predictions
@@ -96,9 +96,7 @@ def predict_stored(config_path: Path, file: Path) -> xr.DataTree:
             "`pymc-features update` again."
         )
     if "ground_acceleration" in result.children.get("data", {}):
-        motion, about = result["data/ground_acceleration"], result["data"].attrs
-        dt = float(motion["record_time"][1] - motion["record_time"][0])
-        measured = Record(motion.values, dt, about["record"], interpolation=about["interpolation"])
+        measured = record_of(result)
     result = result.drop_nodes("predict", errors="ignore")
     for name, group in predictions(config, config_path.parent, structure, posterior, measured).items():
         result[f"predict/{name}"] = xr.DataTree(group)

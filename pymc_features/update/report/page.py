@@ -42,7 +42,6 @@ def read_result(path: Path, argument: str) -> xr.DataTree:
 
 
 def page_of(result) -> str:
-    """The page of a result that has a `document`."""
     document, payload = json.loads(result.attrs["document"]), payload_of(result)
     rows, tables = numbers.rows_of(document), {}
     for one in document["tables"]:

@@ -152,7 +152,6 @@ def responses(part, samples, factor) -> dict:
 
 
 def geometry(result) -> dict:
-    """Find where the points of mode shapes are."""
     places = result["geometry"].to_dataset()
     found = {name: rounded(places[name].values, 5) for name in ("place", "direction")}
     attrs = {name: json.loads(places.attrs[name]) for name in ("lines", "sensors")}
