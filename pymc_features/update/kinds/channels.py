@@ -15,11 +15,11 @@ from pymc_features.exceptions import ChannelWarning, ConfigError, PriorWarning
 from pymc_features.io import read_channels, read_channels_with_gaps
 from pymc_features.records import EVEN
 from pymc_features.signals.channels import check_window
-from pymc_features.signals.resonances import spectra_of
 from pymc_features.update.config.keys import named_key, shown
 from pymc_features.update.config.sections import MEASURED
 from pymc_features.update.kinds.base import check_dofs
 from pymc_features.update.plausibility.findings import Compared, of_data
+from pymc_features.update.plausibility.resonances import spectra_of
 from pymc_features.update.plausibility.transfer import lags_confirmed, told_by_modes
 
 LOWEST, HIGHEST = 1.0 / 7.0, 0.5  # of the first natural frequency: where the floors follow the base

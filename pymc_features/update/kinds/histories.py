@@ -18,10 +18,10 @@ from pymc_features.likelihoods import DIMS, LIKELIHOODS, Comparison, abc_toleran
 from pymc_features.ops import response
 from pymc_features.ops.excitation import request_in_model
 from pymc_features.prediction import posterior_response
-from pymc_features.prediction.components import principal_components
 from pymc_features.prediction.draws import structure_draws
 from pymc_features.records import CyclicTest, Record
 from pymc_features.simulators.quantities import checked_request
+from pymc_features.update.components import principal_components
 from pymc_features.update.config.entries import Parameter, evaluated
 from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import ERRORS

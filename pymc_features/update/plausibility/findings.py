@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.signals.resonances import Resonance, resonances, spectra_of
 from pymc_features.update.plausibility import transfer
 from pymc_features.update.plausibility.prior_modes import PriorModes
+from pymc_features.update.plausibility.resonances import Resonance, resonances, spectra_of
 
 BEYOND = 3.5  # standard deviations of the prior beyond which it excludes a peak
 CLOSEST = 0.02  # relative distance that excludes nothing, however narrow the prior is
