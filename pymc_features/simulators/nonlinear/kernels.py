@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.nonlinear.law import (
     LAWS,
     NonlinearParameters,
@@ -25,6 +24,7 @@ from pymc_features.simulators.nonlinear.marches import (
     misfit_kernel,
     sweep_kernel,
 )
+from pymc_features.simulators.numbers.vectors import LANES
 from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_ACCELERATION,
     Excitation,

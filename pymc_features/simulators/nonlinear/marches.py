@@ -4,8 +4,6 @@ import numpy as np
 from numba.extending import overload
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes
 from pymc_features.simulators.nonlinear.law import (
     BRANCH,
     SERIES,
@@ -18,6 +16,7 @@ from pymc_features.simulators.nonlinear.law import (
 )
 from pymc_features.simulators.nonlinear.runge_kutta import advance
 from pymc_features.simulators.nonlinear.state import deformation, prepare, write_slope
+from pymc_features.simulators.numbers.vectors import LANES, load, read_number, store
 from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,
     QUANTITIES,
@@ -83,13 +82,13 @@ def write_springs(law, quantity, springs, outputs):
     here, target = state(law, 0), state(law, 1)  # a stage that no step needs any more
     for row in range(law.rows):
         drift, rate = deformation(law, here, row)
-        value = z = read_lanes(law.address, here + 2 * law.rows + row)
+        value = z = load(law.address, here + 2 * law.rows + row)
         if quantity == SPRING_FORCE:
             branch = constant(law, BRANCH, row)
             value = spring(law, row, constant(law, STIFFNESS, row), drift, rate, z, branch)[0]
         elif quantity == DRIFT:
             value = drift
-        write_lanes(law.address, target + row, value)
+        store(law.address, target + row, value)
     for j in range(springs.size):
         outputs[j] = read_number(law.address, target * LANES + springs[j])
 

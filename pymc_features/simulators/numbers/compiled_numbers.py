@@ -16,15 +16,18 @@ from numba.extending import (
 )
 
 from pymc_features.simulators.numbers.kinds import (
+    Complex,
     Dual,
     Four,
     Quadratic,
     Two,
     as_kind,
     choose,
+    conjugate_of,
     dot_of,
     output_of,
     parts_of,
+    square_of,
     sum_of,
     value_of,
 )
@@ -155,7 +158,8 @@ for _symbol in (operator.add, operator.sub, operator.mul, operator.truediv):
     _install(_symbol)
 
 # In compiled code the kinds and their functions go by these names
-new_dual, new_quadratic, new_two, new_four = map(compiled, (Dual, Quadratic, Two, Four))
+new_dual, new_quadratic, new_complex, new_two, new_four = map(compiled, (Dual, Quadratic, Complex, Two, Four))
+conjugate, squared_size = compiled(conjugate_of), compiled(square_of)
 with_parts, of_kind, dot = compiled(parts_of), compiled(as_kind), compiled(dot_of)
 the_value, the_output, where_less, the_sum, the_narrowed, highest = map(
     compiled, (value_of, output_of, choose, sum_of, narrowed, highest_of)

@@ -6,6 +6,7 @@ A kernel is written once, for numbers. What it computes follows from the type th
     lanes         -                 n structures, modes or samples      values; one lane is float64
     Dual          v, s, d           v and its derivatives by s and d    gradients
     Quadratic     re, im, square    re + im J with J^2 = square         modes, of any damping
+    Complex       re, im            re + im i                           poles, responses to harmonic forces
     Two, Four     first ... fourth  the same for several numbers        modes or samples side by side
 
 Parts are lanes or, again, numbers: Quadratic of Dual is a pole with derivatives. Each kind is a Python class
@@ -82,6 +83,19 @@ class Quadratic(Number):
         return Quadratic(a * c + (square * b) * d, a * d + b * c, square)
 
 
+class Complex(Number):
+    """Complex numbers, whose parts may carry derivatives: multiplied from the right by what has one part."""
+
+    __slots__ = ()
+    fields = ("re", "im")
+
+    def __mul__(self, other):
+        if type(other) is not Complex:
+            return super().__mul__(other)
+        (a, b), (c, d) = self, other
+        return Complex(a * c - b * d, a * d + b * c)
+
+
 class Several(Number):
     """Numbers side by side: all operations are done with each."""
 
@@ -120,6 +134,17 @@ def output_of(y):
     if isinstance(y, Several):
         return y.each(output_of)
     return y[1] if isinstance(y, Quadratic) else y
+
+
+def conjugate_of(x):
+    """Conjugate of a complex number."""
+    return Complex(x[0], -1.0 * x[1])
+
+
+def square_of(x):
+    """Square of the absolute value of a complex number, without derivatives."""
+    re, im = value_of(x[0]), value_of(x[1])
+    return re * re + im * im
 
 
 def choose(a, b, x, y):
