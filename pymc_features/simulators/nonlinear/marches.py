@@ -1,4 +1,4 @@
-"""Response of a chain with nonlinear springs to an excitation linear between its samples, and its misfit."""
+"""Histories of a chain with nonlinear springs by Runge-Kutta steps; Taylor steps as Python calls them."""
 
 import numpy as np
 from numba.extending import overload
@@ -9,7 +9,6 @@ from pymc_features.simulators.nonlinear.law import (
     SERIES,
     STIFFNESS,
     constant,
-    particle,
     slope,
     spring,
     state,
@@ -120,41 +119,6 @@ def history_kernel(law, parameters, excitation, sensors, quantities, refine):
                 write_springs(law, quantities[q], sensors, outputs)
             history[q, :, sample] = outputs
     return history
-
-
-@jit
-def march_misfit(law, parameters, excitation, wanted, observed, result):
-    """Write the statistics of one chain, as of `chain_misfit`, into `result` (s, 4)."""
-    total = observed.shape[1]
-    sensors = wanted.sensors
-    result[:] = 0.0
-    valid = prepare(law, parameters, 1.0)
-    begin(law, excitation, 0)
-    outputs = np.empty(sensors.size)
-    for sample in range(total):
-        if sample > 0 and valid:
-            valid = next_sample(law, excitation, sample - 1)
-        if not valid:
-            result[:] = np.nan
-            return
-        ground = ground_at(excitation.acceleration, sample * excitation.stride, excitation.substeps)
-        write_outputs(law, ground, wanted.quantity, sensors, outputs)
-        for j in range(sensors.size):
-            misfit = observed[j, sample] - outputs[j]
-            if observed[j, sample] == observed[j, sample]:  # NaN is a gap
-                result[j, 0] += misfit * misfit / total
-            if sample == 0:
-                result[j, 2] = misfit
-            else:
-                result[j, 1] += (misfit - result[j, 3]) ** 2 / total
-            result[j, 3] = misfit
-
-
-@jit
-def misfit_kernel(law, parameters, excitation, wanted, observed, result):
-    """Write the statistics (p, s, 4) of particles, one after the other in the same memory."""
-    for k in range(result.shape[0]):
-        march_misfit(law, particle(parameters, k), excitation, wanted, observed, result[k])
 
 
 def march(group, batch, sums, start, spans, wanted, observed, tape):
