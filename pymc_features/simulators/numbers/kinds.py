@@ -5,6 +5,7 @@ A kernel is written once, for numbers. What it computes follows from the type th
     kind          parts             stands for                          in a kernel it gives
     lanes         -                 n structures, modes or samples      values; one lane is float64
     Dual          v, s, d           v and its derivatives by s and d    gradients
+    Slopes        v, by             v and its derivatives, side by side gradients by many parameters
     Quadratic     re, im, square    re + im J with J^2 = square         modes, of any damping
     Complex       re, im            re + im i                           poles, responses to harmonic forces
     Two, Four     first ... fourth  the same for several numbers        modes or samples side by side
@@ -62,6 +63,19 @@ class Dual(Number):
             return super().__mul__(other)
         (a, *slopes), (b, *others) = self, other
         return Dual(a * b, *(slope * b + a * change for slope, change in zip(slopes, others, strict=True)))
+
+
+class Slopes(Number):
+    """A value, in each lane of a register, and its derivatives by as many parameters."""
+
+    __slots__ = ()
+    fields = ("v", "by")
+
+    def __mul__(self, other):
+        if type(other) is not Slopes:
+            return super().__mul__(other)
+        (a, by_a), (b, by_b) = self, other
+        return Slopes(a * b, by_a * b + a * by_b)
 
 
 class Quadratic(Number):
@@ -134,6 +148,16 @@ def output_of(y):
     if isinstance(y, Several):
         return y.each(output_of)
     return y[1] if isinstance(y, Quadratic) else y
+
+
+def scalar_of(x):
+    """The value of a number with slopes, or the number itself."""
+    return x[0].lanes()[0] if isinstance(x, Slopes) else x
+
+
+def chained(x, value, by):
+    """A function of x by its value and its derivative by x."""
+    return Slopes(value.wide(x[0].width), x[1] * by) if isinstance(x, Slopes) else value
 
 
 def conjugate_of(x):
