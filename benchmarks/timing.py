@@ -5,7 +5,8 @@ import time
 import numpy as np
 from numba import njit
 
-from pymc_features.simulators.compiled.vector import LANES, highest, splat
+from pymc_features.simulators.numbers.compiled_numbers import highest
+from pymc_features.simulators.numbers.vectors import LANES, splat
 
 
 def best_of_rounds(competitors, rounds, at_least=0.02):

@@ -215,10 +215,10 @@ SIMULATOR_ROOMS = {
     "oscillators": {"compiled", "numbers"},
     "eigen": {"compiled", "numbers", "oscillators"},
     "long_records": {"compiled", "numbers", "oscillators"},
-    "chain": {"compiled", "oscillators", "eigen", "long_records"},
+    "chain": {"compiled", "numbers", "oscillators", "eigen", "long_records"},
     "linear": {"compiled", "numbers", "oscillators", "eigen", "long_records"},
-    "taylor": {"compiled", "oscillators"},
-    "nonlinear": {"compiled", "oscillators", "chain", "taylor"},
+    "taylor": {"compiled", "numbers", "oscillators"},
+    "nonlinear": {"compiled", "numbers", "oscillators", "chain", "taylor"},
     "modal": {"compiled", "oscillators", "chain", "linear"},
 }
 

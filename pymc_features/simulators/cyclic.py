@@ -47,8 +47,8 @@ A step that would carry w across zero ends there instead, exactly: w itself beco
 So all steps are on one side of the kink of the law. Their lengths follow from the difference to the embedded
 method of fourth order, and, where loops are pinched, from the width of the pinch.
 
-Derivatives by the parameters are carried along: what is differentiated is the method itself, with the parts
-in which the steps divide what is left as they were found.
+Derivatives by the parameters are carried along by the numbers: what is differentiated is the method itself,
+with the parts in which the steps divide what is left as they were found.
 """
 
 from typing import NamedTuple
@@ -56,6 +56,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
+from pymc_features.simulators.numbers.compiled_numbers import chain, lanes, registers, scalar, with_slopes
+from pymc_features.simulators.numbers.rows import view
+from pymc_features.simulators.numbers.vectors import new_numbers
 from pymc_features.simulators.oscillators.arguments import Excitation, ground_at, n_outputs
 from pymc_features.simulators.oscillators.misfit import measured_difference, statistics, weigh_history
 
@@ -106,59 +109,64 @@ def is_specimen(law):
     return spring and loops and pinched
 
 
-@jit
-def rate(law, w, e, sign, partials):
-    """dw/dx on the side of w that `sign` names; its derivatives by w, e and the parameters if asked for.
+W, E, LEFT = range(3)  # of the state
+NEW, STAGE, LAW, OUT = (
+    3,
+    6,
+    27,
+    27 + N_PARAMETERS,
+)  # behind it: a result, slopes of stages, parameters
 
-    Parameters
-    ----------
-    partials : array (16,) or (0,)
-        Written: by w, by e, then by each parameter in the order of `NAMES`, zero for the first three.
-    """
-    n, total, wants = law[SHARPNESS], law[BETA] + law[GAMMA], partials.size > 0
-    nu, eta = 1.0 + law[D_NU] * e, 1.0 + law[D_ETA] * e
-    size, c = abs(w), law[GAMMA] + law[BETA] * sign
-    if n == 2.0:
-        steep = size
-    elif n == 1.0:
-        steep = 1.0
-    else:
-        steep = size ** (n - 1.0)
-    power = steep * size
-    bracket = 1.0 - nu * power * c
-    if law[SLIP] == 0.0 and not wants:
-        return bracket / eta
-    decay = np.exp(-law[SLIP_RATE] * e)
-    zeta_1 = law[SLIP] * (1.0 - decay)
-    wide, severe = law[PSI] + law[D_PSI] * e, law[SEVERITY] + zeta_1
-    zeta_2 = wide * severe
-    z_u = (nu * total) ** (-1.0 / n)
-    u = (w - law[Q] * z_u) / zeta_2
-    bell = np.exp(-u * u)
-    h = 1.0 - zeta_1 * bell
-    value = h * bracket / eta
-    if wants:
-        partials[:] = 0.0
-        by, by_bracket = partials[2:], -h / eta  # of nu |w|^n c
-        by_zeta_1, by_u = -bell * bracket / eta, 2.0 * zeta_1 * bell * u * bracket / eta
-        by_zeta_2, by_z_u = -by_u * u / zeta_2, -by_u * law[Q] / zeta_2
-        by_zeta_1 += by_zeta_2 * wide
-        by_nu = by_bracket * power * c - by_z_u * z_u / (n * nu)
-        by_slip_and_decay = by_zeta_1 * law[SLIP] * decay
-        partials[0] = by_bracket * nu * n * steep * sign * c + by_u / zeta_2
-        partials[1] = by_nu * law[D_NU] - value * law[D_ETA] / eta
-        partials[1] += by_slip_and_decay * law[SLIP_RATE] + by_zeta_2 * severe * law[D_PSI]
-        if size > 0.0:
-            by[SHARPNESS] = by_bracket * nu * power * np.log(size) * c
-        by[SHARPNESS] += by_z_u * z_u * np.log(nu * total) / (n * n)
-        by[GAMMA] = by_bracket * nu * power - by_z_u * z_u / (n * total)
-        by[BETA] = by_bracket * nu * power * sign - by_z_u * z_u / (n * total)
-        by[D_NU], by[D_ETA] = by_nu * e, -value * e / eta
-        by[SLIP], by[SLIP_RATE] = by_zeta_1 * (1.0 - decay), by_slip_and_decay * e
-        by[Q] = -by_u * z_u / zeta_2
-        by[PSI], by[D_PSI] = by_zeta_2 * severe, by_zeta_2 * severe * e
-        by[SEVERITY] = by_zeta_2 * wide
-    return value
+
+@jit
+def inverse(x):
+    """1 / x."""
+    value = 1.0 / scalar(x)
+    return chain(x, value, -value * value)
+
+
+@jit
+def exponential(x):
+    """e^x."""
+    value = np.exp(scalar(x))
+    return chain(x, value, value)
+
+
+@jit
+def power(size, n):
+    """|w|^n; `size` is w or -w, by the side of the law."""
+    x, order = abs(scalar(size)), scalar(n)
+    steep = x if order == 2.0 else 1.0 if order == 1.0 else x ** (order - 1.0)
+    by_order = steep * x * np.log(x) if x > 0.0 else 0.0
+    return chain(size, steep * x, order * steep) + chain(n, 0.0, by_order)
+
+
+@jit
+def pinch_of(room, e):
+    """zeta_1, zeta_2 and q z_u: depth, width and place of the pinch."""
+    zeta_1 = room[LAW + SLIP] * (1.0 - exponential(room[LAW + SLIP_RATE] * e * -1.0))
+    zeta_2 = (room[LAW + PSI] + room[LAW + D_PSI] * e) * (room[LAW + SEVERITY] + zeta_1)
+    total, order = (
+        (1.0 + room[LAW + D_NU] * e) * (room[LAW + BETA] + room[LAW + GAMMA]),
+        room[LAW + SHARPNESS],
+    )
+    base, n = scalar(total), scalar(order)
+    value = base ** (-1.0 / n)
+    z_u = chain(total, value, -value / (n * base)) + chain(order, 0.0, value * np.log(base) / (n * n))
+    return zeta_1, zeta_2, room[LAW + Q] * z_u
+
+
+@jit
+def rate(room, w, e, sign):
+    """dw/dx on the side of w that `sign` names."""
+    nu, eta = 1.0 + room[LAW + D_NU] * e, 1.0 + room[LAW + D_ETA] * e
+    c = room[LAW + GAMMA] + room[LAW + BETA] * sign
+    value = (1.0 - nu * power(w * sign, room[LAW + SHARPNESS]) * c) * inverse(eta)
+    if scalar(room[LAW + SLIP]) == 0.0 and registers(room) == 1:  # there may be derivatives by what is zero
+        return value
+    zeta_1, zeta_2, place = pinch_of(room, e)
+    u = (w - place) * inverse(zeta_2)
+    return value * (1.0 - zeta_1 * exponential(u * u * -1.0))
 
 
 # J. R. Dormand & P. J. Prince, J. Comput. Appl. Math. 6 (1980) 19-26, table 2 (RK5(4)7M); the last row gives
@@ -181,97 +189,62 @@ TOLERANCE = 1e-9  # of w and of e / (1 + e) in one step
 FIRST_STEP, LONGEST_STEP = 0.1, 1.0  # in units of d_y
 NEAR_ZERO, SMOOTH = 2e-3, 3.0  # a step at w = 0, and n from which none is needed
 MOST_STEPS = 5000  # between two displacements
-W, E, LEFT = range(3)
 
 
 @jit
-def take_step(law, state, change, step, step_change, by_w, work):
-    """Write the result of a step and its derivatives; return its error.
-
-    Parameters
-    ----------
-    state, change : array (3,), (3, columns)
-        w, e and r, and their derivatives by the parameters; no columns if none are wanted.
-    step, step_change : float, array (columns,)
-        Length in x, or in w.
-    by_w : bool
-        Whether w is the independent variable.
-    work : tuple of array
-        Slopes (7, 3) and (7, 3, columns), result (3,) and (3, columns), and partial derivatives.
-    """
-    slopes, slope_changes, new, new_change, partials = work
-    columns = change.shape[1]
-    sign = -1.0 if state[W] < 0.0 else 1.0
+def take_step(room, step, by_w):
+    """Write the result of a step in x or, if `by_w`, in w; return its error."""
+    nil, sign = 0.0 * step, -1.0 if scalar(room[W]) < 0.0 else 1.0
     for s in range(LAST + 1):
         for i in range(3):
-            total = 0.0
+            total = nil
             for b in range(s):
-                total += STAGES[s, b] * slopes[b, i]
-            new[i] = state[i] + step * total
-            for p in range(columns):
-                inner = 0.0
-                for b in range(s):
-                    inner += STAGES[s, b] * slope_changes[b, i, p]
-                new_change[i, p] = change[i, p] + step * inner + step_change[p] * total
-        w = new[W]
-        value = rate(law, w, new[E], sign, partials)
+                total = total + room[STAGE + 3 * b + i] * STAGES[s, b]
+            room[NEW + i] = room[i] + step * total
+        w, here = room[NEW + W], STAGE + 3 * s
+        value = rate(room, w, room[NEW + E], sign)
+        room[here + W], room[here + E], room[here + LEFT] = value, w, nil - 1.0
         if by_w:
-            slopes[s, W], slopes[s, E], slopes[s, LEFT] = 1.0, w / value, -1.0 / value
-        else:
-            slopes[s, W], slopes[s, E], slopes[s, LEFT] = value, w, -1.0
-        for p in range(columns):
-            d_w = new_change[W, p]
-            d_value = partials[0] * d_w + partials[1] * new_change[E, p] + partials[2 + p]
-            if by_w:
-                slope_changes[s, W, p] = 0.0
-                slope_changes[s, E, p] = (d_w - w / value * d_value) / value
-                slope_changes[s, LEFT, p] = d_value / (value * value)
-            else:
-                slope_changes[s, W, p] = d_value
-                slope_changes[s, E, p] = d_w
-                slope_changes[s, LEFT, p] = 0.0
-    return step_error(state, slopes, step, by_w)
+            value = inverse(value)
+            room[here + W], room[here + E], room[here + LEFT] = nil + 1.0, w * value, value * -1.0
+    return step_error(room, scalar(step), LEFT if by_w else W)
 
 
 @jit
-def step_error(state, slopes, step, by_w):
+def step_error(room, step, first):
     """Largest error of a step: of w, or of the way that is left, and of e beside 1 + e."""
     of_first, of_energy = 0.0, 0.0
     for s in range(LAST + 1):
-        of_first += ERROR[s] * slopes[s, LEFT if by_w else W]
-        of_energy += ERROR[s] * slopes[s, E]
-    return abs(step) * max(abs(of_first), abs(of_energy) / (1.0 + abs(state[E])))
+        of_first += ERROR[s] * scalar(room[STAGE + 3 * s + first])
+        of_energy += ERROR[s] * scalar(room[STAGE + 3 * s + E])
+    return abs(step) * max(abs(of_first), abs(of_energy) / (1.0 + abs(scalar(room[E]))))
 
 
 @jit
-def longest(law, w, e, columns):
+def longest(room):
     """A step that cannot miss the pinch: half its width, or half the distance to it.
 
     Nor, where derivatives are wanted, the singularity of |w|^n log|w| at zero, the derivative by n.
     """
-    near = LONGEST_STEP
-    if columns and law[SHARPNESS] < SMOOTH:
+    near, w = LONGEST_STEP, scalar(room[W])
+    if registers(room) > 1 and scalar(room[LAW + SHARPNESS]) < SMOOTH:
         near = max(NEAR_ZERO, 0.5 * abs(w))
-    if law[SLIP] == 0.0:
+    if scalar(room[LAW + SLIP]) == 0.0:
         return near
-    zeta_1 = law[SLIP] * (1.0 - np.exp(-law[SLIP_RATE] * e))
-    zeta_2 = (law[PSI] + law[D_PSI] * e) * (law[SEVERITY] + zeta_1)
-    z_u = ((1.0 + law[D_NU] * e) * (law[BETA] + law[GAMMA])) ** (-1.0 / law[SHARPNESS])
-    return min(near, LONGEST_STEP, max(0.5 * zeta_2, 0.5 * abs(w - law[Q] * z_u)))
+    _, zeta_2, place = pinch_of(room, room[E])
+    return min(near, LONGEST_STEP, max(0.5 * scalar(zeta_2), 0.5 * abs(w - scalar(place))))
 
 
 @jit
-def go(law, state, change, suggested, step_change, work):
-    """Take a specimen along a straight path, `state[LEFT]` long; return a step for the next one, or NaN."""
-    _, _, new, new_change, _ = work
+def go(room, suggested):
+    """Take a specimen along a straight path, `LEFT` long; return a step for the next one, or NaN."""
     for _ in range(MOST_STEPS):
-        left = state[LEFT]
+        left = scalar(room[LEFT])
         if left <= 0.0:
             return suggested
-        part = min(suggested, longest(law, state[W], state[E], change.shape[1])) / left
+        part = min(suggested, longest(room)) / left
         part = 1.0 if part >= 1.0 else min(part, 0.5)
-        step_change[:] = part * change[LEFT]
-        error = take_step(law, state, change, part * left, step_change, False, work)
+        error = take_step(room, room[LEFT] * part, False)
         factor = 0.9 * (TOLERANCE / max(error, 1e-5 * TOLERANCE)) ** 0.2
         if not error <= TOLERANCE:
             if not error < np.inf:
@@ -280,59 +253,55 @@ def go(law, state, change, suggested, step_change, work):
             continue
         longer = min(factor, 5.0) * part * left
         suggested = min(max(longer, suggested) if part == 1.0 else longer, LONGEST_STEP)
-        if state[W] < 0.0 < new[W]:
-            to_zero(law, state, change, part, step_change, work)
+        if scalar(room[W]) < 0.0 < scalar(room[NEW + W]):
+            to_zero(room, part)
         elif part == 1.0:
-            new[LEFT] = 0.0
-        state[:] = new
-        change[:] = new_change
+            room[NEW + LEFT] = 0.0 * room[LEFT]
+        for i in range(3):
+            room[i] = room[NEW + i]
     return np.nan
 
 
 @jit
-def to_zero(law, state, change, part, step_change, work):
+def to_zero(room, part):
     """Step to w = 0, or, if that is too far for one step, on the way to it."""
-    _, _, new, new_change, _ = work
-    left, into = state[LEFT], 1.0
+    into, nil = 1.0, 0.0 * room[W]
     while into > 1e-3:
-        step_change[:] = -into * change[W]
-        error = take_step(law, state, change, -into * state[W], step_change, True, work)
-        if error <= TOLERANCE:
+        if take_step(room, room[W] * -into, True) <= TOLERANCE:
             break
         into *= 0.5
-    if new[LEFT] < 0.0:  # by less than the errors, the way ends before
-        step_change[:] = part * change[LEFT]
-        take_step(law, state, change, part * left, step_change, False, work)
-        new[LEFT] = 0.0 if part == 1.0 else new[LEFT]
+    if scalar(room[NEW + LEFT]) < 0.0:  # by less than the errors, the way ends before
+        take_step(room, room[LEFT] * part, False)
+        if part == 1.0:
+            room[NEW + LEFT] = nil
     elif into == 1.0:
-        new[W] = 0.0
-        new_change[W] = 0.0
+        room[NEW + W] = nil
 
 
 @jit
-def march(law, excitation, force, gradient):
-    """Write the force (u,) [N] at the output samples, and its derivatives (14, u) by the parameters.
+def march(like, law, excitation, force, gradient):
+    """Write the force (u,) [N] at the output samples, and its derivatives by the parameters.
 
     Parameters
     ----------
+    like : number
+        Of the kind that is computed with: with slopes, or without.
     law : array (14,)
-        In the order of `law.NAMES`.
+        In the order of `NAMES`.
     excitation : Excitation
         The displacement [m] as its input. The specimen is untouched at the displacement zero.
     force, gradient : array (u,), (14, u) or (0, u)
         Written; NaN where the parameters describe no specimen, or the integration fails.
     """
     displacement, _, substeps, stride, _ = excitation
-    columns = gradient.shape[0]
-    state, change, step_change = np.zeros(3), np.zeros((3, columns)), np.zeros(columns)
-    work = (
-        np.zeros((LAST + 1, 3)),
-        np.zeros((LAST + 1, 3, columns)),
-        np.zeros(3),
-        np.zeros((3, columns)),
-        np.zeros(2 + columns if columns else 0),
-    )
-    k, reach, ratio = law[STIFFNESS], law[REACH], law[RATIO]
+    one, size = lanes(like), lanes(like) * registers(like)
+    memory = new_numbers((OUT + 1) * size)
+    room = view(memory, like)
+    for i in range(N_PARAMETERS):
+        room[LAW + i] = 0.0 * like + law[i]
+        if registers(like) > 1:
+            memory[(LAW + i) * size + one + i] = 1.0
+    k, reach, ratio = room[LAW + STIFFNESS], room[LAW + REACH], room[LAW + RATIO]
     suggested = FIRST_STEP if is_specimen(law) else np.nan
     before, direction = 0.0, 1.0
     for fine in range((displacement.size - 1) * substeps + 1):
@@ -340,27 +309,30 @@ def march(law, excitation, force, gradient):
         if d != before and suggested == suggested:
             if (d - before) * direction < 0.0:
                 direction = -direction
-                state[W] = -state[W]
-                change[W] = -change[W]
-            state[LEFT] = abs(d - before) / reach
-            change[LEFT] = 0.0
-            if columns:
-                change[LEFT, REACH] = -state[LEFT] / reach
-            suggested = go(law, state, change, suggested, step_change, work)
+                room[W] = room[W] * -1.0
+            room[LEFT] = inverse(reach) * abs(d - before)
+            suggested = go(room, suggested)
             before = d
         if fine % stride == 0:
-            j = fine // stride
-            z = direction * state[W]
-            inner = (1.0 - ratio) * k
-            force[j] = ratio * k * d + inner * reach * z
-            if columns:
-                gradient[:, j] = inner * reach * direction * change[W]
-                gradient[STIFFNESS, j] += force[j] / k
-                gradient[REACH, j] += inner * z
-                gradient[RATIO, j] += k * (d - reach * z)
+            room[OUT] = k * (ratio * d + (1.0 - ratio) * reach * room[W] * direction)
+            force[fine // stride] = memory[OUT * size]
+            for i in range(gradient.shape[0]):
+                gradient[i, fine // stride] = memory[OUT * size + one + i]
     if not np.isfinite(suggested):
         force[:] = np.nan
         gradient[:] = np.nan
+
+
+@jit
+def march_values(law, excitation, force, gradient):
+    """Write the force alone."""
+    march(0.0, law, excitation, force, gradient)
+
+
+@jit
+def march_slopes(law, excitation, force, gradient):
+    """Write the force and its derivatives."""
+    march(with_slopes(0.0), law, excitation, force, gradient)
 
 
 def numbers(array) -> np.ndarray:
@@ -376,7 +348,7 @@ def forces(law, excitation, *, with_gradient=False) -> tuple[np.ndarray, np.ndar
     given = Excitation(displacement, *map(int, (1, excitation.substeps, excitation.stride)))
     total = n_outputs(displacement.size, given.substeps, given.stride)
     force, gradient = np.empty(total), np.empty((N_PARAMETERS if with_gradient else 0, total))
-    march(law, given, force, gradient)
+    (march_slopes if with_gradient else march_values)(law, given, force, gradient)
     return force, gradient
 
 

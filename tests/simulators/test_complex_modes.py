@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pymc_features.simulators import QUANTITIES
-from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear import system
+from pymc_features.simulators.numbers.vectors import LANES
 from pymc_features.simulators.oscillators.march import GROUP
 from support.kernels import (
     linear_misfit,

@@ -11,10 +11,10 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.simulators import FAMILIES
-from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear import gradient
 from pymc_features.simulators.linear import response as population
 from pymc_features.simulators.linear.system import is_coupled
+from pymc_features.simulators.numbers.vectors import LANES
 from support.kernels import (
     linear_discrepancy,
     linear_discrepancy_gradient,

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh_tridiagonal
 
-from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.tridiagonal import diagonalise_lanes
+from pymc_features.simulators.numbers.vectors import LANES, new_vectors
 from support.linear import noise
 
 

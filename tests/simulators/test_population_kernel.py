@@ -8,7 +8,7 @@ from pytensor.graph.replace import vectorize_graph
 from pymc_features import ModalDamping, SpringMassChain, mean_square_discrepancy, paper, response
 from pymc_features.ops import PopulationDiscrepancy
 from pymc_features.simulators import QUANTITIES, request
-from pymc_features.simulators.compiled.vector import LANES
+from pymc_features.simulators.numbers.vectors import LANES
 from pymc_features.simulators.oscillators.march import GROUP
 from support.graphs import PLAIN, our_ops
 from support.kernels import chain_discrepancy, population_discrepancy

@@ -5,10 +5,10 @@ import pytest
 from scipy.integrate import cumulative_simpson
 
 from pymc_features.simulators import QUANTITIES
-from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.families import FAMILIES as FAMILY
 from pymc_features.simulators.nonlinear import kernels
 from pymc_features.simulators.nonlinear.law import SERIES
+from pymc_features.simulators.numbers.vectors import LANES
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation
 from pymc_features.simulators.taylor import ground, layout
 from pymc_features.simulators.taylor.ground import DEGREE, Ground, projection

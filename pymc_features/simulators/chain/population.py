@@ -14,17 +14,6 @@ from pymc_features.simulators.chain.modes import is_chain, is_graded
 from pymc_features.simulators.chain.parameters import check_history, check_sizes, own_rows
 from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import (
-    LANES,
-    highest,
-    load,
-    magnitude,
-    splat,
-    square_root,
-    store,
-    where_less,
-)
-from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.tridiagonal import (
     REACH,
     ROUNDS,
@@ -36,6 +25,8 @@ from pymc_features.simulators.eigen.tridiagonal import (
     twisted_vector,
     whole_vectors,
 )
+from pymc_features.simulators.numbers.compiled_numbers import highest, magnitude, square_root, where_less
+from pymc_features.simulators.numbers.vectors import LANES, load, new_vectors, splat, store
 
 
 @jit

@@ -1,1 +1,1 @@
-"""Compilation of the kernels, and vectors of numbers in the registers of the processor."""
+"""Compilation of the kernels, and how their machine code is kept on disk."""

@@ -24,7 +24,6 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.numbers.compiled_numbers import (
     highest,
     in_lanes,
@@ -37,6 +36,7 @@ from pymc_features.simulators.numbers.compiled_numbers import (
     where_less,
 )
 from pymc_features.simulators.numbers.rows import moved, view
+from pymc_features.simulators.numbers.vectors import new_vectors
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
 
 PANEL = 2  # complex modes that are multiplied by D together

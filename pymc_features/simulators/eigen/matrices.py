@@ -8,9 +8,15 @@ Products go in blocks of four rows and columns, which stay in registers.
 
 from pymc_features.algebra import MASSLESS
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import load, magnitude, splat, square_root, store, where_less
-from pymc_features.simulators.numbers.compiled_numbers import in_lanes, new_four
+from pymc_features.simulators.numbers.compiled_numbers import (
+    in_lanes,
+    magnitude,
+    new_four,
+    square_root,
+    where_less,
+)
 from pymc_features.simulators.numbers.rows import view
+from pymc_features.simulators.numbers.vectors import load, splat, store
 
 
 @jit

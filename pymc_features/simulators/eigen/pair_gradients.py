@@ -26,7 +26,6 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.complex_modes import (
     inverse,
     number,
@@ -43,6 +42,7 @@ from pymc_features.simulators.numbers.compiled_numbers import (
     where_less,
 )
 from pymc_features.simulators.numbers.rows import view
+from pymc_features.simulators.numbers.vectors import new_vectors
 from pymc_features.simulators.oscillators.modal_lanes import PARTS
 from pymc_features.simulators.oscillators.reduction import CLOSE
 

@@ -16,17 +16,6 @@ import numpy as np
 from pymc_features.algebra import ROUNDING
 from pymc_features.simulators.compiled.arrays import positions
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import (
-    LANES,
-    highest,
-    load,
-    magnitude,
-    splat,
-    square_root,
-    store,
-    where_less,
-)
-from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.matrices import (
     assemble_lanes,
     divide_rows,
@@ -46,8 +35,18 @@ from pymc_features.simulators.eigen.tridiagonal import (
     largest_values,
     twisted_vector,
 )
-from pymc_features.simulators.numbers.compiled_numbers import in_lanes, new_four, new_two, the_sum
+from pymc_features.simulators.numbers.compiled_numbers import (
+    highest,
+    in_lanes,
+    magnitude,
+    new_four,
+    new_two,
+    square_root,
+    the_sum,
+    where_less,
+)
 from pymc_features.simulators.numbers.rows import view
+from pymc_features.simulators.numbers.vectors import LANES, load, new_vectors, splat, store
 
 
 @jit

@@ -10,15 +10,8 @@ whole vector of one of them in O(n), and its Rayleigh quotient the digits that a
 """
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import (
-    highest,
-    load,
-    magnitude,
-    splat,
-    square_root,
-    store,
-    where_less,
-)
+from pymc_features.simulators.numbers.compiled_numbers import highest, magnitude, square_root, where_less
+from pymc_features.simulators.numbers.vectors import load, splat, store
 
 MAX_SWEEPS = 60  # for each eigenvalue; two or three are typical
 SPLIT = 2.3e-16  # entries beside the diagonal, of its two, that are taken for zero

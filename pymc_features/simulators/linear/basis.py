@@ -15,7 +15,8 @@ from scipy.sparse.linalg import spsolve_triangular
 
 from pymc_features.algebra import assemble, massless_motions, spectral_shift
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, load, magnitude, splat, store, where_less
+from pymc_features.simulators.numbers.compiled_numbers import magnitude, where_less
+from pymc_features.simulators.numbers.vectors import LANES, load, splat, store
 
 SMALL = 1e-12  # a pivot below this share of the entries it is left of says nothing: it may be rounding
 

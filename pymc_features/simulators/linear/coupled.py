@@ -10,7 +10,6 @@ import numpy as np
 
 from pymc_features.algebra import ZERO_STIFFNESS
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector_memory import new_vectors
 from pymc_features.simulators.eigen.complex_modes import Pairs, find_pairs, new_pairs
 from pymc_features.simulators.eigen.matrices import (
     assemble_lanes,
@@ -40,6 +39,7 @@ from pymc_features.simulators.numbers.compiled_numbers import (
     where_less,
 )
 from pymc_features.simulators.numbers.rows import view
+from pymc_features.simulators.numbers.vectors import new_vectors
 from pymc_features.simulators.oscillators.march import evaluate, new_walk
 from pymc_features.simulators.oscillators.modal_lanes import ModalLanes, clear, new_modal_lanes, new_rows
 from pymc_features.simulators.oscillators.modal_system import highest_coupled_step

@@ -11,12 +11,12 @@ from numba.extending import overload
 
 from pymc_features.simulators.compiled.arrays import copy_entries
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import load, splat, store
 from pymc_features.simulators.eigen.matrices import all_diagonal
 from pymc_features.simulators.eigen.structures import StructureLanes, new_structures, solve_structures
 from pymc_features.simulators.linear.dense import is_finite, solve_dense
 from pymc_features.simulators.long_records.systems import new_systems, put_modes
 from pymc_features.simulators.numbers.rows import view
+from pymc_features.simulators.numbers.vectors import load, splat, store
 from pymc_features.simulators.oscillators.arguments import ABSOLUTE_ACCELERATION, RELATIVE_ACCELERATION
 from pymc_features.simulators.oscillators.march import evaluate, new_walk
 from pymc_features.simulators.oscillators.modal_lanes import (

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, eigh
 
-from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.basis import (
     Basis,
     Terms,
@@ -19,6 +18,7 @@ from pymc_features.simulators.linear.basis import (
     new_basis,
     new_terms,
 )
+from pymc_features.simulators.numbers.vectors import LANES
 
 TOLERANCE = 2e-9  # of shapes, in the norm of the energy, by the probes
 OF_DERIVATIVES = 1e-6  # the same, along parameters in units in which some omega^2 moves by as much as itself

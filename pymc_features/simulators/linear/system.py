@@ -7,10 +7,10 @@ from scipy import sparse
 
 from pymc_features.algebra import massless_motions, natural_modes, shifted_factor, spectral_shift
 from pymc_features.simulators.compiled.arrays import writable
-from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.linear.arguments import Arguments
 from pymc_features.simulators.linear.dense import dense_modes
 from pymc_features.simulators.linear.known import KNOWN
+from pymc_features.simulators.numbers.vectors import LANES
 from pymc_features.simulators.oscillators.modal_system import (
     STIFFEST,
     ModalSystem,

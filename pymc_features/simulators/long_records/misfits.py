@@ -6,10 +6,9 @@ A structure's numbers do not depend on the others of its population, nor on what
 import numpy as np
 from scipy import fft
 
-from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.compiled.vector_memory import aligned
 from pymc_features.simulators.long_records.stencil import OVERSAMPLING, coefficients, window
 from pymc_features.simulators.long_records.sums import N_ROWS, Mesh, evaluate_slopes, evaluate_values
+from pymc_features.simulators.numbers.vectors import LANES, aligned
 from pymc_features.simulators.oscillators.arguments import interpolate
 
 SHORTEST = 128  # coefficients of the last level, so that sigma h is below 0.6

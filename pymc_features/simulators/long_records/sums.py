@@ -35,16 +35,18 @@ from pymc_features.simulators.numbers.compiled_numbers import (
     magnitude,
     n_lanes,
     n_registers,
+    new_complex,
     new_dual,
     of_kind,
     put_together,
     registers,
     square_root,
+    squared_size,
     the_sum,
     the_value,
     with_parts,
 )
-from pymc_features.simulators.numbers.kinds import Number, Several, Two, value_of
+from pymc_features.simulators.numbers.kinds import Complex, Several, Two, value_of
 from pymc_features.simulators.numbers.registers import INTEGER, Register
 from pymc_features.simulators.numbers.rows import turn, view, zero
 from pymc_features.simulators.oscillators.arguments import RELATIVE_DISPLACEMENT, RELATIVE_VELOCITY
@@ -59,19 +61,6 @@ N_ROWS = 48  # rows of nodes of a level: more than 2 DECAYED (N + 8) / (2 pi / 3
 TURNS = np.exp(1j * np.pi / 3.0 * np.arange(6))  # exp(i omega t) at the nodes, t the centre of time
 POLE = 7  # numbers of a pole, see `put_poles`
 TURN_TERMS = 19  # of exp(x), |x| < 0.75: the first dropped term is below 1e-18
-
-
-class Complex(Number):
-    """Complex numbers, whose parts may carry derivatives: multiplied from the right by what has one part."""
-
-    __slots__ = ()
-    fields = ("re", "im")
-
-    def __mul__(self, other):
-        if type(other) is not Complex:
-            return super().__mul__(other)
-        (a, b), (c, d) = self, other
-        return Complex(a * c - b * d, a * d + b * c)
 
 
 def plain_of(x):
@@ -94,8 +83,7 @@ def inverse_of(x):
     return start if isinstance(x[0], Register) else start * (2.0 - x * start)
 
 
-new_complex, mirrored, inverse = map(compiled, (Complex, mirrored_of, inverse_of))
-size_of = compiled(lambda x: plain_of(x)[0] * plain_of(x)[0] + plain_of(x)[1] * plain_of(x)[1])
+mirrored, inverse = compiled(mirrored_of), compiled(inverse_of)
 
 
 @intrinsic
@@ -326,7 +314,7 @@ def finish_mode(room, mesh, r, w, drive, before, angle):
             growth = growth + w + growth * w
     end = functions[s + c] * by_drive + functions[rows + s + c] * by_start
     modes[own], modes[own + 1], modes[own + 2] = growth, start, end
-    size, e = size_of(end) + size_of(start), growth + 1.0
+    size, e = squared_size(end) + squared_size(start), growth + 1.0
     for p in range(c - 1, -1, -1):
         total = functions[s + p] * by_drive + functions[rows + s + p] * by_start
         reals[at] = total.re
@@ -334,14 +322,14 @@ def finish_mode(room, mesh, r, w, drive, before, angle):
         for q in range(c):
             total = total + modes[own + 3 + q] * (0.5 * mesh.phases[p, q])
         modes[own + 3 + c + p] = total
-        size = size + 2.0 * square_root(size_of(modes[own + 3 + p]) * size_of(total))
+        size = size + 2.0 * square_root(squared_size(modes[own + 3 + p]) * squared_size(total))
     i = mesh.own_at
     through = (functions[i] * by_drive + functions[rows + i] * by_start).re - after * mesh.with_input[i]
     reals[at + 1], reals[at + 2] = after, through
     for j in range(s):
         data = (functions[j] * by_drive + functions[rows + j] * by_start).re - after * mesh.with_input[j]
         reals[at + 3 + j] = data - through * room.feed[j]
-    decay = magnitude(2.0 * mirrored(growth).first.re + size_of(growth))
+    decay = magnitude(2.0 * mirrored(growth).first.re + squared_size(growth))
     room.sizes[r] = square_root(size / decay) + magnitude(the_value(after)) * np.sqrt(mesh.with_input[s])
 
 

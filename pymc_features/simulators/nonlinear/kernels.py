@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from pymc_features.simulators.compiled.vector import LANES
 from pymc_features.simulators.nonlinear.law import (
     LAWS,
     NonlinearParameters,
@@ -22,9 +21,9 @@ from pymc_features.simulators.nonlinear.law import (
 from pymc_features.simulators.nonlinear.marches import (
     history_kernel,
     march_kernel,
-    misfit_kernel,
     sweep_kernel,
 )
+from pymc_features.simulators.numbers.vectors import LANES
 from pymc_features.simulators.oscillators.arguments import (
     RELATIVE_ACCELERATION,
     Excitation,
@@ -33,10 +32,10 @@ from pymc_features.simulators.oscillators.arguments import (
     n_outputs,
 )
 from pymc_features.simulators.oscillators.differences import WITH_KINKS, gradient, tangents
-from pymc_features.simulators.oscillators.misfit import weigh_history
+from pymc_features.simulators.oscillators.misfit import statistics, weigh_history
 from pymc_features.simulators.taylor.adjoint.sweep import add_gradients
 from pymc_features.simulators.taylor.ground import ground_of
-from pymc_features.simulators.taylor.population import Lanes, is_linear_chain, march_population, rows_of
+from pymc_features.simulators.taylor.population import Lanes, is_linear_chain, march_population
 
 PARTICLES = Counter()  # evaluated in populations by Taylor steps, by Runge-Kutta steps, and by both
 
@@ -131,11 +130,11 @@ def nonlinear_histories(law, parameters, excitation, sensors, quantities, refine
     return problem.response(problem.parameters, quantities, refine)
 
 
-def one_by_one(problem, parameters, observed) -> np.ndarray:
-    """Statistics (p, s, 4) of particles by Runge-Kutta steps, vectors of springs."""
-    result = np.empty((n_particles(parameters), problem.wanted.sensors.size, 4))
-    misfit_kernel(problem.chain, parameters, problem.excitation, problem.wanted, observed, result)
-    return result
+def one_by_one(problem, particles, observed) -> np.ndarray:
+    """Statistics (p, s, 4) of some particles, from histories by Runge-Kutta steps in vectors of springs."""
+    code = [problem.wanted.quantity]
+    histories = (problem.response(particle(problem.parameters, k), code)[0] for k in particles)
+    return np.array([statistics(history, observed) for history in histories])
 
 
 def has_reverse(series, parameters, sought):
@@ -171,7 +170,7 @@ def population_statistics(law, problem, observed) -> np.ndarray:
     parameters, count = problem.parameters, n_particles(problem.parameters)
     result = np.empty((count, problem.wanted.sensors.size, 4))
     left = np.ones(count, dtype=bool)
-    given = ground_of(problem.excitation), problem.wanted, observed
+    given = ground_of(problem.excitation), problem.wanted, problem.data(observed)
     for lanes, members in taylor_groups(problem, LAWS[law].series.items()):
         lost = march_population(march_kernel, lanes, parameters, members, given, result)
         left[members] = False
@@ -180,8 +179,7 @@ def population_statistics(law, problem, observed) -> np.ndarray:
         PARTICLES["lost"] += lost.size
     others = np.flatnonzero(left)
     if others.size:
-        rows = NonlinearParameters(*rows_of(parameters, others))
-        result[others] = one_by_one(problem, rows, observed)
+        result[others] = one_by_one(problem, others, observed)
         PARTICLES["runge_kutta"] += others.size
     return result
 
@@ -213,7 +211,7 @@ def nonlinear_kernels(law) -> dict:
 
     def population_misfit(parameters, excitation, wanted, observed):
         problem = Problem(law, parameters, excitation, wanted)
-        return population_statistics(law, problem, problem.data(problem.history(observed)))
+        return population_statistics(law, problem, problem.history(observed))
 
     def misfit(parameters, *given):
         return population_misfit(one_particle(parameters), *given)[0]

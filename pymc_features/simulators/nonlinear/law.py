@@ -5,7 +5,7 @@ A law is a type of named tuple that says where the memory of a chain lies (`layo
 `spring`, `step_rate`, `is_admissible` and `has_kinks`; Numba picks the functions by the *type* of the tuple,
 so that each law has a kernel of its own, without a branch, and its machine code is kept on disk as any other.
 
-`spring` and `step_rate` take and return vectors (`vector.py`): `LANES` springs at a time, the group number
+`spring` and `step_rate` take and return vectors (`numbers.vectors`), `LANES` springs at a time: group number
 `row` of them. A law reads its parameters of these springs by `parameter`, of one spring by
 `single`. Both results of `spring` depend on
 
@@ -20,7 +20,7 @@ and the law must be smooth there.
 
 Layout of the memory in which a nonlinear chain is integrated.
 
-A chain works in one piece of memory, which compiled code reaches by its address (`vector_memory.aligned`
+A chain works in one piece of memory, which compiled code reaches by its address (`vectors.aligned`
 says why). It is divided into blocks of p numbers, p the number of springs n rounded up to full vectors; entry
 i of a block belongs to spring i or to the degree of freedom above it.
 
@@ -56,8 +56,7 @@ import numpy as np
 from numba.extending import overload
 
 from pymc_features.simulators.compiled.jit import FASTMATH, jit
-from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.compiled.vector_memory import aligned, read_lanes, read_number, write_number
+from pymc_features.simulators.numbers.vectors import LANES, aligned, load, read_number, write_number
 from pymc_features.simulators.taylor.series import Series
 
 MAX_PARAMETERS = 8  # of a law; they lie at the beginning of the memory
@@ -89,7 +88,7 @@ def register(law: type, functions: Functions):
 @jit
 def parameter(law, name, row):
     """The law's parameter number `name` of the springs of group `row`."""
-    return read_lanes(law.address, name * law.rows + row)
+    return load(law.address, name * law.rows + row)
 
 
 @jit
@@ -181,7 +180,7 @@ def slope(law, s):
 @jit
 def constant(law, block, row):
     """Group `row` of a block of the chain's memory."""
-    return read_lanes(law.address, block * law.rows + row)
+    return load(law.address, block * law.rows + row)
 
 
 @jit

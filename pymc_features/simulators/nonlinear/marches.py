@@ -1,23 +1,21 @@
-"""Response of a chain with nonlinear springs to an excitation linear between its samples, and its misfit."""
+"""Histories of a chain with nonlinear springs by Runge-Kutta steps; Taylor steps as Python calls them."""
 
 import numpy as np
 from numba.extending import overload
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes
 from pymc_features.simulators.nonlinear.law import (
     BRANCH,
     SERIES,
     STIFFNESS,
     constant,
-    particle,
     slope,
     spring,
     state,
 )
 from pymc_features.simulators.nonlinear.runge_kutta import advance
 from pymc_features.simulators.nonlinear.state import deformation, prepare, write_slope
+from pymc_features.simulators.numbers.vectors import LANES, load, read_number, store
 from pymc_features.simulators.oscillators.arguments import (
     ABSOLUTE_ACCELERATION,
     QUANTITIES,
@@ -83,13 +81,13 @@ def write_springs(law, quantity, springs, outputs):
     here, target = state(law, 0), state(law, 1)  # a stage that no step needs any more
     for row in range(law.rows):
         drift, rate = deformation(law, here, row)
-        value = z = read_lanes(law.address, here + 2 * law.rows + row)
+        value = z = load(law.address, here + 2 * law.rows + row)
         if quantity == SPRING_FORCE:
             branch = constant(law, BRANCH, row)
             value = spring(law, row, constant(law, STIFFNESS, row), drift, rate, z, branch)[0]
         elif quantity == DRIFT:
             value = drift
-        write_lanes(law.address, target + row, value)
+        store(law.address, target + row, value)
     for j in range(springs.size):
         outputs[j] = read_number(law.address, target * LANES + springs[j])
 
@@ -121,41 +119,6 @@ def history_kernel(law, parameters, excitation, sensors, quantities, refine):
                 write_springs(law, quantities[q], sensors, outputs)
             history[q, :, sample] = outputs
     return history
-
-
-@jit
-def march_misfit(law, parameters, excitation, wanted, observed, result):
-    """Write the statistics of one chain, as of `chain_misfit`, into `result` (s, 4)."""
-    total = observed.shape[1]
-    sensors = wanted.sensors
-    result[:] = 0.0
-    valid = prepare(law, parameters, 1.0)
-    begin(law, excitation, 0)
-    outputs = np.empty(sensors.size)
-    for sample in range(total):
-        if sample > 0 and valid:
-            valid = next_sample(law, excitation, sample - 1)
-        if not valid:
-            result[:] = np.nan
-            return
-        ground = ground_at(excitation.acceleration, sample * excitation.stride, excitation.substeps)
-        write_outputs(law, ground, wanted.quantity, sensors, outputs)
-        for j in range(sensors.size):
-            misfit = observed[j, sample] - outputs[j]
-            if observed[j, sample] == observed[j, sample]:  # NaN is a gap
-                result[j, 0] += misfit * misfit / total
-            if sample == 0:
-                result[j, 2] = misfit
-            else:
-                result[j, 1] += (misfit - result[j, 3]) ** 2 / total
-            result[j, 3] = misfit
-
-
-@jit
-def misfit_kernel(law, parameters, excitation, wanted, observed, result):
-    """Write the statistics (p, s, 4) of particles, one after the other in the same memory."""
-    for k in range(result.shape[0]):
-        march_misfit(law, particle(parameters, k), excitation, wanted, observed, result[k])
 
 
 def march(group, batch, sums, start, spans, wanted, observed, tape):

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from pymc_features.simulators.compiled.vector import magnitude, splat, square_root
 from pymc_features.simulators.nonlinear.law import Functions, parameter, single
+from pymc_features.simulators.numbers.compiled_numbers import magnitude, square_root
+from pymc_features.simulators.numbers.vectors import splat
 from pymc_features.simulators.taylor.adjoint.series import Adjoint, add_constant, correlation
 from pymc_features.simulators.taylor.series import (
     Group,

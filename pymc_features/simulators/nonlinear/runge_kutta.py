@@ -27,17 +27,6 @@ its values and slopes at both ends of the step (Hermite interpolation).
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, highest, magnitude, splat, where_less
-from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.compiled.vector_memory import (
-    all_equal,
-    all_less,
-    any_less,
-    read_lanes,
-    read_number,
-    write_lanes,
-    write_number,
-)
 from pymc_features.simulators.nonlinear.law import (
     BRANCH,
     CROSSINGS,
@@ -53,6 +42,18 @@ from pymc_features.simulators.nonlinear.law import (
     step_rate,
 )
 from pymc_features.simulators.nonlinear.state import deformation, write_slope
+from pymc_features.simulators.numbers.compiled_numbers import highest, larger, magnitude, where_less
+from pymc_features.simulators.numbers.vectors import (
+    LANES,
+    all_equal,
+    all_less,
+    any_less,
+    load,
+    read_number,
+    splat,
+    store,
+    write_number,
+)
 
 MAX_CROSSINGS = 2.0  # of one kink in one step
 
@@ -86,10 +87,10 @@ def set_branches(law, ahead):
     for row in range(law.rows):
         third = 2 * law.rows + row
         rate = deformation(law, here, row)[1] + ahead * deformation(law, rates, row)[1]
-        z = read_lanes(law.address, here + third) + ahead * read_lanes(law.address, rates + third)
+        z = load(law.address, here + third) + ahead * load(law.address, rates + third)
         branch = where_less(rate * z, splat(0.0), splat(-1.0), splat(1.0))
         changed |= not all_equal(branch, constant(law, BRANCH, row))
-        write_lanes(law.address, BRANCH * law.rows + row, branch)
+        store(law.address, BRANCH * law.rows + row, branch)
     return changed
 
 
@@ -162,10 +163,10 @@ def any_kink(law, step):
         )
         third = 2 * law.rows + row
         found |= may_cross(
-            read_lanes(law.address, start + third),
-            read_lanes(law.address, end + third),
-            step * read_lanes(law.address, slope(law, 0) + third),
-            step * read_lanes(law.address, slope(law, LAST) + third),
+            load(law.address, start + third),
+            load(law.address, end + third),
+            step * load(law.address, slope(law, 0) + third),
+            step * load(law.address, slope(law, LAST) + third),
         )
     return found
 
@@ -211,10 +212,10 @@ def combine(law, step, s, weights):
     """Write X_s of stage `s` from the slopes of the stages before; `weights` are the A_se."""
     here, target, slopes = state(law, 0), state(law, s), slope(law, 0)
     for row in range(3 * law.rows):
-        change = step * weights[0] * read_lanes(law.address, slopes + row)
+        change = step * weights[0] * load(law.address, slopes + row)
         for e in range(1, len(weights)):
-            change = change + step * weights[e] * read_lanes(law.address, slopes + 3 * law.rows * e + row)
-        write_lanes(law.address, target + row, read_lanes(law.address, here + row) + change)
+            change = change + step * weights[e] * load(law.address, slopes + 3 * law.rows * e + row)
+        store(law.address, target + row, load(law.address, here + row) + change)
 
 
 @jit
@@ -242,8 +243,8 @@ def try_step(law, step, ground, trend):
 def accept(law):
     """Make the result of the step the state."""
     for row in range(3 * law.rows):
-        write_lanes(law.address, state(law, 0) + row, read_lanes(law.address, state(law, LAST) + row))
-        write_lanes(law.address, slope(law, 0) + row, read_lanes(law.address, slope(law, LAST) + row))
+        store(law.address, state(law, 0) + row, load(law.address, state(law, LAST) + row))
+        store(law.address, slope(law, 0) + row, load(law.address, slope(law, LAST) + row))
 
 
 @jit
@@ -320,7 +321,7 @@ def is_finite(law):
     """Whether the state is finite."""
     finite = True
     for row in range(3 * law.rows):
-        finite &= all_less(magnitude(read_lanes(law.address, state(law, 0) + row)), splat(np.inf))
+        finite &= all_less(magnitude(load(law.address, state(law, 0) + row)), splat(np.inf))
     return finite
 
 

@@ -30,14 +30,6 @@ import numpy as np
 
 from pymc_features.simulators.chain.modes import chain_modes
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, splat
-from pymc_features.simulators.compiled.vector_memory import (
-    above,
-    below,
-    read_lanes,
-    read_number,
-    write_lanes,
-)
 from pymc_features.simulators.nonlinear.law import (
     ACTIVE,
     BRANCH,
@@ -57,6 +49,7 @@ from pymc_features.simulators.nonlinear.law import (
     scalar,
     spring,
 )
+from pymc_features.simulators.numbers.vectors import LANES, above, below, load, read_number, splat, store
 from pymc_features.simulators.oscillators.modal_system import modal_damping
 
 
@@ -199,11 +192,11 @@ def has_modal_damping(law):
 @jit
 def deformation(law, first, row):
     """Drifts and their rates of the springs of group `row` in the state, or slope, at `first`."""
-    u, v = read_lanes(law.address, first + row), read_lanes(law.address, first + law.rows + row)
+    u, v = load(law.address, first + row), load(law.address, first + law.rows + row)
     u_last = v_last = splat(0.0)
     if row > 0:
-        u_last = read_lanes(law.address, first + row - 1)
-        v_last = read_lanes(law.address, first + law.rows + row - 1)
+        u_last = load(law.address, first + row - 1)
+        v_last = load(law.address, first + law.rows + row - 1)
     active = constant(law, ACTIVE, row)
     return active * (u - below(u_last, u)), active * (v - below(v_last, v))
 
@@ -213,8 +206,8 @@ def write_slope(law, ground, here, target):
     """Write the time derivative of the state at `here` to `target`; `ground` acceleration in m/s^2."""
     upper = splat(0.0)  # forces of the springs of the next group
     for row in range(law.rows - 1, -1, -1):
-        v = read_lanes(law.address, here + law.rows + row)
-        z = read_lanes(law.address, here + 2 * law.rows + row)
+        v = load(law.address, here + law.rows + row)
+        z = load(law.address, here + 2 * law.rows + row)
         drift, rate = deformation(law, here, row)
         branch = constant(law, BRANCH, row)
         force, z_rate = spring(law, row, constant(law, STIFFNESS, row), drift, rate, z, branch)
@@ -222,9 +215,9 @@ def write_slope(law, ground, here, target):
         acceleration = constant(law, INVERSE_MASS, row) * (above(force, upper) - force)
         acceleration = acceleration - constant(law, MASS_DAMPING, row) * v
         acceleration = acceleration - ground * constant(law, ACTIVE, row)
-        write_lanes(law.address, target + row, v)
-        write_lanes(law.address, target + law.rows + row, acceleration)
-        write_lanes(law.address, target + 2 * law.rows + row, z_rate)
+        store(law.address, target + row, v)
+        store(law.address, target + law.rows + row, acceleration)
+        store(law.address, target + 2 * law.rows + row, z_rate)
         upper = force
     if has_modal_damping(law):
         subtract_modal_damping(law, here + law.rows, target + law.rows)
@@ -234,8 +227,8 @@ def write_slope(law, ground, here, target):
 def subtract_modal_damping(law, velocities, target):
     """Subtract M^-1 C v, column by column, from the accelerations at `target`."""
     for row in range(law.rows):
-        result = read_lanes(law.address, target + row)
+        result = load(law.address, target + row)
         for j in range(law.n):
             v = read_number(law.address, velocities * LANES + j)
             result = result - v * constant(law, MODAL_DAMPING + j, row)
-        write_lanes(law.address, target + row, result)
+        store(law.address, target + row, result)

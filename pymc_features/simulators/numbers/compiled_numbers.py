@@ -16,15 +16,21 @@ from numba.extending import (
 )
 
 from pymc_features.simulators.numbers.kinds import (
+    Complex,
     Dual,
     Four,
     Quadratic,
+    Slopes,
     Two,
     as_kind,
+    chained,
     choose,
+    conjugate_of,
     dot_of,
     output_of,
     parts_of,
+    scalar_of,
+    square_of,
     sum_of,
     value_of,
 )
@@ -36,6 +42,8 @@ from pymc_features.simulators.numbers.registers import (
     narrowed,
     vector,
 )
+
+SLOPES = 16  # derivatives of a number with slopes
 
 
 class AnyNumberType(types.Type):
@@ -70,7 +78,7 @@ class _NumberModel(models.StructModel):
         super().__init__(dmm, fe_type, [(name, fe_type.part) for name in fe_type.kind.fields])
 
 
-for _name in {name for kind in (Dual, Quadratic, Two, Four) for name in kind.fields}:
+for _name in {name for kind in (Dual, Slopes, Quadratic, Two, Four) for name in kind.fields}:
     make_attribute_wrapper(NumberType, _name, _name)
 
 
@@ -155,7 +163,9 @@ for _symbol in (operator.add, operator.sub, operator.mul, operator.truediv):
     _install(_symbol)
 
 # In compiled code the kinds and their functions go by these names
-new_dual, new_quadratic, new_two, new_four = map(compiled, (Dual, Quadratic, Two, Four))
+new_dual, new_quadratic, new_complex, new_two, new_four = map(compiled, (Dual, Quadratic, Complex, Two, Four))
+conjugate, squared_size = compiled(conjugate_of), compiled(square_of)
+scalar, chain = compiled(scalar_of), compiled(chained)  # the latter: f(x) by its value and df/dx
 with_parts, of_kind, dot = compiled(parts_of), compiled(as_kind), compiled(dot_of)
 the_value, the_output, where_less, the_sum, the_narrowed, highest = map(
     compiled, (value_of, output_of, choose, sum_of, narrowed, highest_of)
@@ -164,6 +174,7 @@ square_root, magnitude = compiled(lambda a: a.call("sqrt")), compiled(lambda a: 
 alike = compiled(lambda like, x: x.wide(like.width))  # a number in every lane
 larger = compiled(lambda a, b: b.where_less(a, b, a))
 in_lanes = compiled(lambda x: x.wide(WIDEST))
+with_slopes = compiled(lambda x: Slopes(x.wide(SLOPES), x.wide(SLOPES)))  # the type of a number with slopes
 
 
 def n_registers(kind):

@@ -5,7 +5,9 @@ A kernel is written once, for numbers. What it computes follows from the type th
     kind          parts             stands for                          in a kernel it gives
     lanes         -                 n structures, modes or samples      values; one lane is float64
     Dual          v, s, d           v and its derivatives by s and d    gradients
+    Slopes        v, by             v and its derivatives, side by side gradients by many parameters
     Quadratic     re, im, square    re + im J with J^2 = square         modes, of any damping
+    Complex       re, im            re + im i                           poles, responses to harmonic forces
     Two, Four     first ... fourth  the same for several numbers        modes or samples side by side
 
 Parts are lanes or, again, numbers: Quadratic of Dual is a pole with derivatives. Each kind is a Python class
@@ -63,6 +65,19 @@ class Dual(Number):
         return Dual(a * b, *(slope * b + a * change for slope, change in zip(slopes, others, strict=True)))
 
 
+class Slopes(Number):
+    """A value, in each lane of a register, and its derivatives by as many parameters."""
+
+    __slots__ = ()
+    fields = ("v", "by")
+
+    def __mul__(self, other):
+        if type(other) is not Slopes:
+            return super().__mul__(other)
+        (a, by_a), (b, by_b) = self, other
+        return Slopes(a * b, by_a * b + a * by_b)
+
+
 class Quadratic(Number):
     """Numbers re + im J, J^2 = square: complex below critical damping, two real poles above."""
 
@@ -80,6 +95,19 @@ class Quadratic(Number):
             return Quadratic(a * other, b * other, square)
         c, d, _ = other
         return Quadratic(a * c + (square * b) * d, a * d + b * c, square)
+
+
+class Complex(Number):
+    """Complex numbers, whose parts may carry derivatives: multiplied from the right by what has one part."""
+
+    __slots__ = ()
+    fields = ("re", "im")
+
+    def __mul__(self, other):
+        if type(other) is not Complex:
+            return super().__mul__(other)
+        (a, b), (c, d) = self, other
+        return Complex(a * c - b * d, a * d + b * c)
 
 
 class Several(Number):
@@ -120,6 +148,27 @@ def output_of(y):
     if isinstance(y, Several):
         return y.each(output_of)
     return y[1] if isinstance(y, Quadratic) else y
+
+
+def scalar_of(x):
+    """The value of a number with slopes, or the number itself."""
+    return x[0].lanes()[0] if isinstance(x, Slopes) else x
+
+
+def chained(x, value, by):
+    """A function of x by its value and its derivative by x."""
+    return Slopes(value.wide(x[0].width), x[1] * by) if isinstance(x, Slopes) else value
+
+
+def conjugate_of(x):
+    """Conjugate of a complex number."""
+    return Complex(x[0], -1.0 * x[1])
+
+
+def square_of(x):
+    """Square of the absolute value of a complex number, without derivatives."""
+    re, im = value_of(x[0]), value_of(x[1])
+    return re * re + im * im
 
 
 def choose(a, b, x, y):

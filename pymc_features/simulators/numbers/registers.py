@@ -84,6 +84,8 @@ class Register:
 
     def mix(self, other, places):
         """Numbers out of two registers."""
+        if self.builder is None:
+            return self
         mixed = self.builder.shuffle_vector(self.value, other.value, integers(places))
         return Register(self.width, self.builder, mixed)
 
@@ -116,7 +118,7 @@ def highest_of(x):
     """Largest number of all lanes."""
     best, *others = x.lanes()
     for other in others:
-        best = best.where_less(other, best, other)
+        best = other.where_less(best, other, best)
     return best
 
 

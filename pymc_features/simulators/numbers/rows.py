@@ -74,7 +74,7 @@ def side_by_side(typingctx, rows):
     return RowsType(together(rows.number))(rows), lambda context, builder, signature, args: args[0]
 
 
-def _places(builder, address, index, kind):
+def places_of(builder, address, index, kind):
     """Pointers to all registers of number `index`."""
     width = n_lanes(kind)
     first = builder.mul(index, ir.Constant(INTEGER, 8 * width * n_registers(kind)))
@@ -84,8 +84,8 @@ def _places(builder, address, index, kind):
         yield builder.inttoptr(place, vector(width).as_pointer())
 
 
-def _read_number(builder, address, index, number):
-    places, width = _places(builder, address, index, number), n_lanes(number)
+def read_from(builder, address, index, number):
+    places, width = places_of(builder, address, index, number), n_lanes(number)
 
     def read(kind):
         if not isinstance(kind, NumberType):
@@ -95,8 +95,8 @@ def _read_number(builder, address, index, number):
     return read(number)
 
 
-def _write_number(builder, address, index, kind, number):
-    places, width = _places(builder, address, index, kind), n_lanes(kind)
+def write_to(builder, address, index, kind, number):
+    places, width = places_of(builder, address, index, kind), n_lanes(kind)
 
     def write(number):
         if isinstance(number, Register):
@@ -120,7 +120,7 @@ def _type_of_read(context):
 def _read(context, builder, signature, args):
     rows, index = signature.args
     index = context.cast(builder, args[1], index, types.intp)
-    return put_together(context, builder, _read_number(builder, args[0], index, rows.number))
+    return put_together(context, builder, read_from(builder, args[0], index, rows.number))
 
 
 @type_callable(operator.setitem)
@@ -135,7 +135,7 @@ def _type_of_write(context):
 def _write(context, builder, signature, args):
     (rows, index, number), (address, at, x) = signature.args, args
     at = context.cast(builder, at, index, types.intp)
-    _write_number(builder, address, at, rows.number, taken_apart(number, builder, x, context))
+    write_to(builder, address, at, rows.number, taken_apart(number, builder, x, context))
     return context.get_dummy_value()
 
 
@@ -161,14 +161,14 @@ def turn(typingctx, rows, first, step, target, place, outer, inner):
         def at(start, stride, m):
             return builder.add(start, builder.mul(stride, ir.Constant(INTEGER, m)))
 
-        read = [flat(_read_number(builder, rows_at, at(first, step, m), kind)) for m in range(width)]
+        read = [flat(read_from(builder, rows_at, at(first, step, m), kind)) for m in range(width)]
         parts = [transposed([number[i] for number in read]) for i in range(len(read[0]))]
         for m in range(width):
             here, number = (
                 at(at(place, outer, m // 2), inner, m % 2),
                 built(kind, iter([p[m] for p in parts])),
             )
-            _write_number(builder, target_at, here, target.number, number)
+            write_to(builder, target_at, here, target.number, number)
         return context.get_dummy_value()
 
     return types.none(rows, types.intp, types.intp, target, types.intp, types.intp, types.intp), codegen

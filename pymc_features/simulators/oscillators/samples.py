@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector_memory import LINE
 from pymc_features.simulators.numbers.compiled_numbers import in_lanes, lanes, new_four, the_narrowed
 from pymc_features.simulators.numbers.rows import moved, view, zero
+from pymc_features.simulators.numbers.vectors import new_numbers
 from pymc_features.simulators.oscillators.arguments import interpolate
 
 BLOCK = 16  # rows of samples handled at a time
@@ -40,14 +40,6 @@ def of_population():
 def of_one():
     """`Widths` of one structure."""
     return Widths(0.0, in_lanes(0.0), in_lanes(0.0))
-
-
-@jit
-def new_numbers(size):
-    """Zeros that begin with a line of the cache."""
-    whole = np.zeros(size + LINE // 8)
-    first = -whole.ctypes.data % LINE // 8
-    return whole[first : first + size]
 
 
 class SampleArrays(NamedTuple):

@@ -15,9 +15,8 @@ small but for stiff springs that have flowed in long steps. Steps with errors of
 from functools import cache
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
-from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes
+from pymc_features.simulators.numbers.compiled_numbers import larger, magnitude, where_less
+from pymc_features.simulators.numbers.vectors import LANES, load, read_number, splat, store
 from pymc_features.simulators.taylor.layout import (
     CHANGE,
     DASHPOT,
@@ -46,9 +45,9 @@ def damping_share(modal, n, j, i, up, down):
     """
     share = splat(0.0)
     if modal != 0 and j > 0:
-        share = read_lanes(modal, (j - 1) * n + i - 1) * up
+        share = load(modal, (j - 1) * n + i - 1) * up
         if i > 1:
-            share = share - read_lanes(modal, (j - 1) * n + i - 2) * down
+            share = share - load(modal, (j - 1) * n + i - 2) * down
     return share
 
 
@@ -61,7 +60,7 @@ def feedback_of(series):
     @jit
     def push(address, at, force_1, force_2):
         """Change velocity and displacement of the masses at a spring's ends, and let its force follow."""
-        up, down = read_lanes(address, at + MOBILITY), read_lanes(address, at + MOBILITY - record)
+        up, down = load(address, at + MOBILITY), load(address, at + MOBILITY - record)
         add_lanes(address, at + V_END, (0.0 - up) * force_1)
         add_lanes(address, at + U, (0.0 - up) * force_2)
         add_lanes(address, at + V_END - record, down * force_1)
@@ -71,15 +70,15 @@ def feedback_of(series):
     def estimate_error(address, at, n, effect):
         """Keep what a spring with a kink of its own follows, times z, if it is the largest of its chain."""
         if read_number(address, (at + HAS_KINK) * LANES) > 0.0:
-            error, own = (n + 1) * record + KINK_ERROR, magnitude(read_lanes(address, at + CHANGE))
+            error, own = (n + 1) * record + KINK_ERROR, magnitude(load(address, at + CHANGE))
             effect = where_less(splat(0.0), own, magnitude(effect), splat(0.0))
-            write_lanes(address, error, larger(read_lanes(address, error), effect))
+            store(address, error, larger(load(address, error), effect))
 
     @jit
     def damp(address, modal, n, i, up, down):
         """Damp what the force of the kink of spring i moves, in all masses."""
         kink = i * record + entries + CHANGE
-        j2, j3 = read_lanes(address, kink + 2), read_lanes(address, kink + 3)
+        j2, j3 = load(address, kink + 2), load(address, kink + 3)
         for j in range(1, n + 1):
             share, at = damping_share(modal, n, j, i, up, down), j * record + entries
             add_lanes(address, at + V_END, share * j2)
@@ -93,18 +92,18 @@ def feedback_of(series):
         """
         share, damped = shares
         at = here + entries
-        j2 = read_lanes(address, kink + CHANGE + 2)
-        j3, j4 = read_lanes(address, kink + CHANGE + 3), read_lanes(address, kink + CHANGE + 4)
+        j2 = load(address, kink + CHANGE + 2)
+        j3, j4 = load(address, kink + CHANGE + 3), load(address, kink + CHANGE + 4)
         spring = Spring(address, here + length, length, here + constants)
-        z, rest = read_lanes(address, at + Z_END), splat(0.0)
+        z, rest = load(address, at + Z_END), splat(0.0)
         stiffness, z_by_drift, _ = tangent(spring, z)
         if before is None:
-            dashpot = read_lanes(address, at + DASHPOT)
+            dashpot = load(address, at + DASHPOT)
             force_1, force_2 = stiffness * j3 + dashpot * j2, stiffness * j4 + dashpot * j3
             push(address, at, share * force_1, share * force_2)
             rest = z_by_drift * (share * share) * force_2
         change = z_by_drift * (share * j2 + damped * j3)
-        write_lanes(address, at + Z_END, z + change)
+        store(address, at + Z_END, z + change)
         if before is None and at != kink:
             estimate_error(address, at, n, change * z)
         return z, rest
@@ -116,20 +115,20 @@ def feedback_of(series):
         Unless `before` is None z alone changes, and what that of the springs that follow was is written
         there, three vectors for each kink.
         """
-        drag, worst = read_lanes(address, (n + 1) * record + DRAG), splat(0.0)
+        drag, worst = load(address, (n + 1) * record + DRAG), splat(0.0)
         for i in range(1, n + 1):
             here = i * record
             at = here + entries
             if read_number(address, (at + HAS_KINK) * LANES) > 0.0:  # the branch behind its kinks
-                rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
+                rate_sign, z_sign = load(address, at + RATE_SIGN), load(address, at + Z_SIGN)
                 branch(Spring(address, here + length, length, here + constants), rate_sign * z_sign, z_sign)
         for i in range(1, n + 1):
             here = i * record
             at = here + entries
             if read_number(address, (at + HAS_KINK) * LANES) > 0.0:
-                up, down = read_lanes(address, at + MOBILITY), read_lanes(address, at + MOBILITY - record)
-                j1, j2 = read_lanes(address, at + CHANGE + 1), read_lanes(address, at + CHANGE + 2)
-                add_lanes(address, at + Z_END, read_lanes(address, at + CHANGE))
+                up, down = load(address, at + MOBILITY), load(address, at + MOBILITY - record)
+                j1, j2 = load(address, at + CHANGE + 1), load(address, at + CHANGE + 2)
+                add_lanes(address, at + Z_END, load(address, at + CHANGE))
                 if before is None:
                     push(address, at, j1 - drag * j2, j2)
                     if modal != 0:
@@ -147,11 +146,11 @@ def feedback_of(series):
                     shares = up, damping_share(modal, n, i + 1, i, up, down) - damped_above
                     above, _ = respond(address, n, here + record, shares, at, before)
                 if before is not None:
-                    write_lanes(before, 3 * i, below)
-                    write_lanes(before, 3 * i + 1, own)
-                    write_lanes(before, 3 * i + 2, above)
+                    store(before, 3 * i, below)
+                    store(before, 3 * i + 1, own)
+                    store(before, 3 * i + 2, above)
         if before is None:
             error = (n + 1) * record + KINK_ERROR
-            write_lanes(address, error, larger(read_lanes(address, error), LEFT_OUT * worst))
+            store(address, error, larger(load(address, error), LEFT_OUT * worst))
 
     return apply

@@ -24,13 +24,15 @@ Roots and shifts of polynomials in memory, one in each lane.
 from functools import cache
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
-from pymc_features.simulators.compiled.vector_math import exponential, larger, logarithm
-from pymc_features.simulators.compiled.vector_memory import (
+from pymc_features.simulators.numbers.compiled_numbers import larger, magnitude, where_less
+from pymc_features.simulators.numbers.vector_math import exponential, logarithm
+from pymc_features.simulators.numbers.vectors import (
+    LANES,
     any_less,
-    read_lanes,
+    load,
     read_number,
-    write_lanes,
+    splat,
+    store,
     write_number,
 )
 from pymc_features.simulators.taylor.layout import (
@@ -55,22 +57,22 @@ def polynomials_of(order):
 
     @jit
     def value_and_slope(address, first, x):
-        value, slope = read_lanes(address, first + order), splat(0.0)
+        value, slope = load(address, first + order), splat(0.0)
         for k in range(order - 1, -1, -1):
             slope = slope * x + value
-            value = value * x + read_lanes(address, first + k)
+            value = value * x + load(address, first + k)
         return value, slope
 
     @jit
     def shift(address, one, other, x):
         """Move the origin of two polynomials to x."""
         for i in range(order):
-            c, d = read_lanes(address, one + order), read_lanes(address, other + order)
+            c, d = load(address, one + order), load(address, other + order)
             for j in range(order - 1, i - 1, -1):
-                c = read_lanes(address, one + j) + x * c
-                d = read_lanes(address, other + j) + x * d
-                write_lanes(address, one + j, c)
-                write_lanes(address, other + j, d)
+                c = load(address, one + j) + x * c
+                d = load(address, other + j) + x * d
+                store(address, one + j, c)
+                store(address, other + j, d)
 
     @jit
     def root(address, first, sign, at_end, end):
@@ -79,10 +81,10 @@ def polynomials_of(order):
         Where `sign` is zero nothing is looked for.
         """
         zero = splat(0.0)
-        start, low, high = larger(sign * read_lanes(address, first), zero), zero, end
+        start, low, high = larger(sign * load(address, first), zero), zero, end
         x = end * start / (start - sign * at_end + TINY)
         x = where_less(zero, x, where_less(x, end, x, end), zero)
-        leaves = sign * read_lanes(address, first + 1)  # the root at 0 is the kink before
+        leaves = sign * load(address, first + 1)  # the root at 0 is the kink before
         x = where_less(zero, leaves, larger(x, splat(0.5) * end), x)
         for _ in range(MAX_ITERATIONS):
             value, slope = value_and_slope(address, first, x)
@@ -101,10 +103,10 @@ def polynomials_of(order):
         """Lowest place in (0, 1) of sign times a polynomial that first falls, and the polynomial there."""
         zero, one, x = splat(0.0), splat(1.0), splat(0.5)
         for _ in range(3):
-            slope, bend = float(order) * read_lanes(address, first + order), zero
+            slope, bend = float(order) * load(address, first + order), zero
             for k in range(order - 1, 0, -1):
                 bend = bend * x + slope
-                slope = slope * x + float(k) * read_lanes(address, first + k)
+                slope = slope * x + float(k) * load(address, first + k)
             x = x - slope / (bend + sign * TINY)
             x = where_less(zero, x, where_less(x, one, x, one), zero)
         return x, value_and_slope(address, first, x)[0]
@@ -147,7 +149,7 @@ def expansion_of(series, k):
 
     @jit
     def last(spring):
-        rate = read_lanes(spring.address, spring.first + RATE * spring.length + k)
+        rate = load(spring.address, spring.first + RATE * spring.length + k)
         expand(spring, k, splat(0.0), rate)
 
     if is_last:
@@ -155,7 +157,7 @@ def expansion_of(series, k):
 
     @jit
     def expansion(spring):
-        rate = read_lanes(spring.address, spring.first + RATE * spring.length + k)
+        rate = load(spring.address, spring.first + RATE * spring.length + k)
         expand(spring, k, splat(0.0), rate)
         rest(spring)
 
@@ -177,7 +179,7 @@ def turn_of(series):
     @jit
     def until(batch, spring, left):
         """Until when the series of z is good: where its last term becomes too large at the latest."""
-        ends, last = constant_of(spring, pieces.hold), magnitude(read_lanes(batch, zs + order))
+        ends, last = constant_of(spring, pieces.hold), magnitude(load(batch, zs + order))
         for _ in range(order):
             last = last * left
         if any_less(splat(LARGEST_TERM), last):
@@ -191,9 +193,9 @@ def turn_of(series):
         """Add the change of z to its moments, from the difference of the new series and the old."""
         e0 = e1 = e2 = e3 = e4 = splat(0.0)
         for k in range(order, 0, -1):
-            before = read_lanes(batch, old + k)
-            after = where_less(splat(0.0), hit, read_lanes(batch, zs + k), before)
-            write_lanes(batch, zs + k, after)
+            before = load(batch, old + k)
+            after = where_less(splat(0.0), hit, load(batch, zs + k), before)
+            store(batch, zs + k, after)
             c = after - before
             i1 = 1.0 / (k + 1)
             i2 = i1 / (k + 2)
@@ -206,7 +208,7 @@ def turn_of(series):
         at = entries + CHANGE
         power = left
         for change in (e0, e1, e2, e3, e4):
-            write_lanes(batch, at, read_lanes(batch, at) + change * power)
+            store(batch, at, load(batch, at) + change * power)
             power = power * left
             at += 1
 
@@ -214,7 +216,7 @@ def turn_of(series):
     def renew(batch, spring, left):
         """Expand z anew, and keep the coefficients it had."""
         for k in range(length):
-            write_lanes(batch, old + k, read_lanes(batch, zs + k))
+            store(batch, old + k, load(batch, zs + k))
         if pieces is not None:
             write_constant(spring, pieces.left, left)
         expand_again(spring)
@@ -222,9 +224,9 @@ def turn_of(series):
     @jit
     def value_at(batch, x):
         """z at a time."""
-        z = read_lanes(batch, zs + order)
+        z = load(batch, zs + order)
         for k in range(order - 1, -1, -1):
-            z = z * x + read_lanes(batch, zs + k)
+            z = z * x + load(batch, zs + k)
         return z
 
     @jit
@@ -233,9 +235,9 @@ def turn_of(series):
         number = int(read_number(trace, 0))
         at = TRACE_HEADER + number * turn_size
         for i in range(length, more + N_BATCH_ENTRIES):
-            write_lanes(trace, at + i, read_lanes(batch, i))
+            store(trace, at + i, load(batch, i))
         for i in range(len(given)):
-            write_lanes(trace, at + size + i, given[i])
+            store(trace, at + size + i, given[i])
         write_number(trace, 0, number + 1.0)
 
     @jit
@@ -246,14 +248,14 @@ def turn_of(series):
         """
         zero, one = splat(0.0), splat(1.0)
         for c in range(CHANGE, CHANGE + 1 + N_MOMENTS):
-            write_lanes(batch, entries + c, zero)
-        z_end, rate_end = read_lanes(batch, entries + Z_END), read_lanes(batch, more + RATE_END)
-        rate_sign, z_sign = read_lanes(batch, entries + RATE_SIGN), read_lanes(batch, entries + Z_SIGN)
+            store(batch, entries + c, zero)
+        z_end, rate_end = load(batch, entries + Z_END), load(batch, more + RATE_END)
+        rate_sign, z_sign = load(batch, entries + RATE_SIGN), load(batch, entries + Z_SIGN)
         spring = Spring(batch, length, length, constants)
         done, reach, low, z_now, reach_z, ends = zero, one, rate_end, z_end, one, splat(LONG)
         back = where_less(rate_end * rate_sign, zero, one, zero)
         cross = where_less(z_end * z_sign, zero, one, zero)
-        start = read_lanes(batch, rates) + read_lanes(batch, rates + 1)
+        start = load(batch, rates) + load(batch, rates + 1)
         dips = where_less(start * rate_sign, zero, one, zero) * (one - back)
         if any_less(zero, dips):
             where, value = dip(batch, rates, rate_sign)
@@ -311,7 +313,7 @@ def turn_of(series):
                 keep_turn(batch, trace, given)
                 is_first = zero
             add_moments(batch, hit, left)
-            z_now, reach_z = z_end + read_lanes(batch, entries + CHANGE), left
+            z_now, reach_z = z_end + load(batch, entries + CHANGE), left
             short, still = zero, zero
             if pieces is not None:
                 ends = until(batch, spring, left)
@@ -324,11 +326,11 @@ def turn_of(series):
             back = hit * where_less(low * rate_sign, zero, one, zero)
             cross = hit * where_less(z_now * z_sign, zero, one, zero)
             hit = where_less(zero, back + cross + short, one, zero)
-        write_lanes(batch, entries + RATE_SIGN, rate_sign)
-        write_lanes(batch, entries + Z_SIGN, z_sign)
+        store(batch, entries + RATE_SIGN, rate_sign)
+        store(batch, entries + Z_SIGN, z_sign)
         by_z = tangent(spring, z_end)[2]
         for c in range(CHANGE + 1, CHANGE + 1 + N_MOMENTS):
-            write_lanes(batch, entries + c, by_z * read_lanes(batch, entries + c))
+            store(batch, entries + c, by_z * load(batch, entries + c))
         hand_back(batch, count)
 
     @jit

@@ -19,13 +19,15 @@ from functools import cache
 from typing import NamedTuple
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, splat, where_less
-from pymc_features.simulators.compiled.vector_memory import (
+from pymc_features.simulators.numbers.compiled_numbers import where_less
+from pymc_features.simulators.numbers.vectors import (
+    LANES,
     aligned,
-    read_lanes,
+    load,
     read_number,
-    stream_lanes,
-    write_lanes,
+    splat,
+    store,
+    stream,
     write_number,
 )
 from pymc_features.simulators.taylor.ground import DEGREE
@@ -79,7 +81,7 @@ def group_size(series, n: int) -> int:
 @jit
 def add_lanes(address, index, value):
     """Add to a vector."""
-    write_lanes(address, index, read_lanes(address, index) + value)
+    store(address, index, load(address, index) + value)
 
 
 MAX_STEPS = 64  # of a span
@@ -179,12 +181,12 @@ def tape_of(series):
         to = slot * n * width
         for i in range(1, n + 1):
             at = i * record + entries
-            stream_lanes(states, to, read_lanes(address, at + V_END))
-            stream_lanes(states, to + 1, read_lanes(address, at + U))
+            stream(states, to, load(address, at + V_END))
+            stream(states, to + 1, load(address, at + U))
             if kinks:
-                signs = 2.0 * read_lanes(address, at + RATE_SIGN) + read_lanes(address, at + Z_SIGN)
-                stream_lanes(states, to + 2, read_lanes(address, at + Z_END))
-                stream_lanes(states, to + 3, signs)
+                signs = 2.0 * load(address, at + RATE_SIGN) + load(address, at + Z_SIGN)
+                stream(states, to + 2, load(address, at + Z_END))
+                stream(states, to + 3, signs)
             to += width
 
     @jit
@@ -194,13 +196,13 @@ def tape_of(series):
         for i in range(high - size + 1, high + 1):
             to = (i - 1) * width
             at = i * record + entries
-            write_lanes(address, at + V_END, read_lanes(state, to))
-            write_lanes(address, at + U, read_lanes(state, to + 1))
+            store(address, at + V_END, load(state, to))
+            store(address, at + U, load(state, to + 1))
             if kinks:
-                rate_sign, z_sign = signs_of(read_lanes(state, to + 3))
-                write_lanes(address, at + Z_END, read_lanes(state, to + 2))
-                write_lanes(address, at + RATE_SIGN, rate_sign)
-                write_lanes(address, at + Z_SIGN, z_sign)
+                rate_sign, z_sign = signs_of(load(state, to + 3))
+                store(address, at + Z_END, load(state, to + 2))
+                store(address, at + RATE_SIGN, rate_sign)
+                store(address, at + Z_SIGN, z_sign)
 
     @jit
     def accept(group, tape, span, count):
@@ -210,7 +212,7 @@ def tape_of(series):
         if steps == 0:
             size = group.n * width
             for i in range(size):
-                write_lanes(tape.starts, segments * size + i, read_lanes(tape.states, i))
+                store(tape.starts, segments * size + i, load(tape.states, i))
             write_number(tape.numbers, COUNTS + tape.n_spans + segments, float(span))
             write_number(tape.numbers, SEGMENTS, segments + 1.0)
         write_number(tape.numbers, STEPS, float(steps + count))

@@ -23,15 +23,16 @@ from functools import cache
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, highest, magnitude, splat, where_less
-from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.compiled.vector_memory import (
+from pymc_features.simulators.numbers.compiled_numbers import highest, larger, magnitude, where_less
+from pymc_features.simulators.numbers.vectors import (
+    LANES,
     any_less,
     first_lane,
     lanes_less,
-    read_lanes,
+    load,
     read_number,
-    write_lanes,
+    splat,
+    store,
     write_number,
 )
 from pymc_features.simulators.oscillators.arguments import (
@@ -83,7 +84,7 @@ def search_of(series):
     @jit
     def put(batch, c, count, number):
         if count == 0:
-            write_lanes(batch, c, splat(number))
+            store(batch, c, splat(number))
         else:
             write_number(batch, c * LANES + count, number)
 
@@ -106,16 +107,16 @@ def search_of(series):
         for i in range(high - size + 1, high + 1):
             here = i * record
             at = here + entries
-            rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
-            rate_end = read_lanes(address, at + V_END) - read_lanes(address, at + V_END - record)
-            a, b = rate_end * rate_sign, read_lanes(address, at + Z_END) * z_sign
+            rate_sign, z_sign = load(address, at + RATE_SIGN), load(address, at + Z_SIGN)
+            rate_end = load(address, at + V_END) - load(address, at + V_END - record)
+            a, b = rate_end * rate_sign, load(address, at + Z_END) * z_sign
             lowest = where_less(a, b, a, b)
-            start = read_lanes(address, here + rates) + read_lanes(address, here + rates + 1)
+            start = load(address, here + rates) + load(address, here + rates + 1)
             start = start * rate_sign
             lowest = where_less(start, lowest, start, lowest)
             if pieces is not None:
                 spring = Spring(address, here + length, length, here + constants)
-                away = constant_of(spring, pieces.sign) * read_lanes(address, at + Z_END)
+                away = constant_of(spring, pieces.sign) * load(address, at + Z_END)
                 away = magnitude(away - constant_of(spring, pieces.middle))
                 hold = constant_of(spring, pieces.hold)
                 hold = where_less(constant_of(spring, pieces.half), away, zero, hold)
@@ -125,8 +126,8 @@ def search_of(series):
             write_number(address, (at + HAS_KINK) * LANES, 1.0 if has_kink else 0.0)
             if has_kink:
                 for c in range(CHANGE, CHANGE + 1 + N_MOMENTS):
-                    write_lanes(address, at + c, zero)
-                write_lanes(batch, flags, rate_end)
+                    store(address, at + c, zero)
+                store(batch, flags, rate_end)
                 lanes = lanes_less(lowest, zero)
                 while lanes != 0:
                     pack(address, here, first_lane(lanes), batch, count)
@@ -206,14 +207,14 @@ def group_of(series):
         factor = splat(ratio)
         for i in range(1, n + 1):
             at = i * record + entries
-            write_lanes(address, at + V_END, factor * read_lanes(address, at + V_END))
-            write_lanes(address, at + MOBILITY, squared * read_lanes(address, at + MOBILITY))
-            write_lanes(address, at + DASHPOT, inverse * read_lanes(address, at + DASHPOT))
+            store(address, at + V_END, factor * load(address, at + V_END))
+            store(address, at + MOBILITY, squared * load(address, at + MOBILITY))
+            store(address, at + DASHPOT, inverse * load(address, at + DASHPOT))
         end = (n + 1) * record
-        write_lanes(address, end + DRAG, factor * read_lanes(address, end + DRAG))
+        store(address, end + DRAG, factor * load(address, end + DRAG))
         if modal != 0:
             for i in range(n * n):
-                write_lanes(modal, i, factor * read_lanes(modal, i))
+                store(modal, i, factor * load(modal, i))
 
     @jit
     def copy(group, back):
@@ -221,9 +222,9 @@ def group_of(series):
         address, kept, _, n = group
         peak = (n + 1) * record + PEAK
         if back:
-            write_lanes(address, peak, read_lanes(kept, 0))
+            store(address, peak, load(kept, 0))
         else:
-            write_lanes(kept, 0, read_lanes(address, peak))
+            store(kept, 0, load(address, peak))
         for i in range(1, n + 1):
             at = i * record + entries
             places = (at + V_END, at + U)
@@ -231,9 +232,9 @@ def group_of(series):
                 places = (at + V_END, at + U, at + Z_END, at + RATE_SIGN, at + Z_SIGN)
             for c in range(len(places)):
                 if back:
-                    write_lanes(address, places[c], read_lanes(kept, 5 * i + c))
+                    store(address, places[c], load(kept, 5 * i + c))
                 else:
-                    write_lanes(kept, 5 * i + c, read_lanes(address, places[c]))
+                    store(kept, 5 * i + c, load(address, places[c]))
 
     @jit
     def put_load(group, spans, span, part, count):
@@ -242,21 +243,21 @@ def group_of(series):
         step = spans.step * spans.widths[span] * inverse
         if spans.widths[span] == 1:
             rise = spans.loads[span, 1] * inverse
-            write_lanes(address, at, splat(step * step * (spans.loads[span, 0] + part * rise)))
-            write_lanes(address, at + 1, splat(step * step * rise))
+            store(address, at, splat(step * step * (spans.loads[span, 0] + part * rise)))
+            store(address, at + 1, splat(step * step * rise))
             if read_number(address, (at + CURVED) * LANES) > 0.0:
-                write_lanes(address, at + HARMLESS, splat(0.0))
+                store(address, at + HARMLESS, splat(0.0))
                 write_number(address, (at + CURVED) * LANES, 0.0)
             return
         share = step * step
         for k in range(DEGREE + 1):
-            write_lanes(address, at + k, splat(share * spans.loads[span, k]))
+            store(address, at + k, splat(share * spans.loads[span, k]))
             share *= inverse
         for i in range(DEGREE if part > 0 else 0):
             for k in range(DEGREE - 1, i - 1, -1):
-                add_lanes(address, at + k, part * read_lanes(address, at + k + 1))
+                add_lanes(address, at + k, part * load(address, at + k + 1))
         harmless = (1.0 - min(SHARE * (spans.rate * step) ** 2, 1.0)) / (DEGREE + 1)
-        write_lanes(address, at + HARMLESS, harmless * read_lanes(address, at + DEGREE))
+        store(address, at + HARMLESS, harmless * load(address, at + DEGREE))
         write_number(address, (at + CURVED) * LANES, 1.0)
 
     @jit
@@ -291,22 +292,22 @@ def march_of(series):
         """Largest ratio of last coefficients to the tolerance; a chain beyond `most` is lost."""
         address, n = group.address, group.n
         end = (n + 1) * record
-        largest = read_lanes(address, end + FIRST) * splat(1.0 / (step * step))
-        peak = larger(read_lanes(address, end + PEAK), largest)
+        largest = load(address, end + FIRST) * splat(1.0 / (step * step))
+        peak = larger(load(address, end + PEAK), largest)
         scale = splat(tolerance * step * step) * peak + 1e-300
-        ratio = read_lanes(address, end + LAST) / scale
-        ratio = larger(ratio, read_lanes(address, end + LAST_Z) * splat(1.0 / LARGEST_Z))
+        ratio = load(address, end + LAST) / scale
+        ratio = larger(ratio, load(address, end + LAST_Z) * splat(1.0 / LARGEST_Z))
         if kinks:
-            error = read_lanes(address, end + KINK_ERROR) * splat(TOO_FAR / LARGEST_KINK_ERROR)
+            error = load(address, end + KINK_ERROR) * splat(TOO_FAR / LARGEST_KINK_ERROR)
             ratio = larger(ratio, where_less(splat(TOO_FAR), error, error, splat(0.0)))
-            write_lanes(address, end + KINK_ERROR, splat(0.0))
+            store(address, end + KINK_ERROR, splat(0.0))
         ratio = where_less(ratio, splat(HUGE), ratio, splat(0.5 * HUGE))  # steps not finite are repeated too
-        lost = where_less(ratio, splat(most), read_lanes(address, end + LOST), splat(1.0))
-        write_lanes(address, end + LOST, lost)
-        write_lanes(address, end + PEAK, peak)
-        write_lanes(address, end + FIRST, splat(0.0))
-        write_lanes(address, end + LAST, splat(0.0))
-        write_lanes(address, end + LAST_Z, splat(0.0))
+        lost = where_less(ratio, splat(most), load(address, end + LOST), splat(1.0))
+        store(address, end + LOST, lost)
+        store(address, end + PEAK, peak)
+        store(address, end + FIRST, splat(0.0))
+        store(address, end + LAST, splat(0.0))
+        store(address, end + LAST_Z, splat(0.0))
         return highest(where_less(lost, splat(0.5), ratio, splat(0.0)))
 
     @jit
@@ -321,23 +322,23 @@ def march_of(series):
         for j in range(wanted.sensors.size):
             here = (wanted.sensors[j] + 1) * record
             if wanted.quantity == RELATIVE_DISPLACEMENT:
-                value = read_lanes(address, here + entries + U)
+                value = load(address, here + entries + U)
             elif wanted.quantity == RELATIVE_VELOCITY:
-                value = read_lanes(address, here) * splat(1.0 / step)
+                value = load(address, here) * splat(1.0 / step)
             else:
-                value = read_lanes(address, here + 1) * splat(1.0 / (step * step))
+                value = load(address, here + 1) * splat(1.0 / (step * step))
                 value = value + support
             misfit = observed[j, sample] - value
             if observed[j, sample] == observed[j, sample]:  # NaN is a gap
-                write_lanes(sums, 4 * j, read_lanes(sums, 4 * j) + misfit * misfit * share)
+                store(sums, 4 * j, load(sums, 4 * j) + misfit * misfit * share)
             if sample == 0:
-                write_lanes(sums, 4 * j + 2, misfit)
+                store(sums, 4 * j + 2, misfit)
             else:
-                change = misfit - read_lanes(sums, 4 * j + 3)
-                write_lanes(sums, 4 * j + 1, read_lanes(sums, 4 * j + 1) + change * change * share)
-            write_lanes(sums, 4 * j + 3, misfit)
+                change = misfit - load(sums, 4 * j + 3)
+                store(sums, 4 * j + 1, load(sums, 4 * j + 1) + change * change * share)
+            store(sums, 4 * j + 3, misfit)
             if tape.capacity > 0:
-                write_lanes(tape.misfits, sample * wanted.sensors.size + j, misfit)
+                store(tape.misfits, sample * wanted.sensors.size + j, misfit)
 
     @jit
     def divide(group, step, length):

@@ -16,9 +16,8 @@ from functools import cache
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
-from pymc_features.simulators.compiled.vector_math import larger
-from pymc_features.simulators.compiled.vector_memory import read_lanes, read_number, write_lanes
+from pymc_features.simulators.numbers.compiled_numbers import larger, magnitude, where_less
+from pymc_features.simulators.numbers.vectors import LANES, load, read_number, splat, store
 from pymc_features.simulators.taylor.ground import DEGREE
 from pymc_features.simulators.taylor.layout import (
     CURVED,
@@ -57,7 +56,7 @@ def damping_of(record):
         for i in range(n):
             total = splat(0.0)
             for j in range(n):
-                total = total + read_lanes(modal, i * n + j) * read_lanes(first, (j + 1) * record)
+                total = total + load(modal, i * n + j) * load(first, (j + 1) * record)
             add_lanes(first, (i + 1) * record + 1, total * share)
 
     return damp
@@ -82,45 +81,45 @@ def orders_from(series, k):
     def order(address, modal, n, high, size):
         end, upper = (n + 1) * record, splat(0.0)
         if high < n:
-            upper = read_lanes(address, end + left)
-        drag, here, largest, load = read_lanes(address, end + DRAG), high * record, splat(0.0), splat(0.0)
+            upper = load(address, end + left)
+        drag, here, largest, ground = load(address, end + DRAG), high * record, splat(0.0), splat(0.0)
         if k <= 1:
-            load = read_lanes(address, end + load_at + k)
-        v = read_lanes(address, here + v_at)
+            ground = load(address, end + load_at + k)
+        v = load(address, here + v_at)
         for _ in range(size):
             lower, at = here - record, here + entries
-            v_lower = read_lanes(address, lower + v_at)
+            v_lower = load(address, lower + v_at)
             spring = Spring(address, here + length, length, here + constants)
             if starts:
-                drift = read_lanes(address, at + U) - read_lanes(address, lower + entries + U)
-                write_lanes(address, here, v)
+                drift = load(address, at + U) - load(address, lower + entries + U)
+                store(address, here, v)
             else:
-                drift = (read_lanes(address, here + k - 1) - read_lanes(address, lower + k - 1)) * last
+                drift = (load(address, here + k - 1) - load(address, lower + k - 1)) * last
             if begins:
-                rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
+                rate_sign, z_sign = load(address, at + RATE_SIGN), load(address, at + Z_SIGN)
                 branch(spring, rate_sign * z_sign, z_sign)
-                write_coefficient(spring, Z, 0, read_lanes(address, at + Z_END))
+                write_coefficient(spring, Z, 0, load(address, at + Z_END))
             rate = v - v_lower
             force = expand(spring, k, drift, rate)
-            force = force + read_lanes(address, at + DASHPOT) * rate
-            pull = read_lanes(address, at + MOBILITY) * (upper - force)
-            acceleration = share * (pull - drag * v - load)
-            write_lanes(address, here + k + 1, acceleration)
+            force = force + load(address, at + DASHPOT) * rate
+            pull = load(address, at + MOBILITY) * (upper - force)
+            acceleration = share * (pull - drag * v - ground)
+            store(address, here + k + 1, acceleration)
             if starts and modal == 0:
                 largest = larger(largest, magnitude(acceleration))
             upper, v, here = force, v_lower, lower
-        write_lanes(address, end + left, upper)
+        store(address, end + left, upper)
         if 1 < k <= DEGREE and read_number(address, (end + load_at + CURVED) * LANES) > 0.0:
-            load = read_lanes(address, end + load_at + k) * share
+            ground = load(address, end + load_at + k) * share
             for i in range(high - size + 1, high + 1):
-                add_lanes(address, i * record + k + 1, 0.0 - load)
+                add_lanes(address, i * record + k + 1, 0.0 - ground)
         if modal != 0:
             damp(address + 8 * LANES * k, modal, n, -share)
             if starts:
                 for i in range(1, n + 1):
-                    largest = larger(largest, magnitude(read_lanes(address, i * record + 1)))
+                    largest = larger(largest, magnitude(load(address, i * record + 1)))
         if starts:
-            write_lanes(address, end + FIRST, larger(read_lanes(address, end + FIRST), largest))
+            store(address, end + FIRST, larger(load(address, end + FIRST), largest))
         if rest is not None:
             top = high + 1 if high < n else n
             rest(address, modal, n, top, size - 1 + top - high if size < high else top)
@@ -141,36 +140,36 @@ def finish_of(series, moves):
 
         Then the largest last coefficients of each chain are kept as well, without what is no error in them.
         """
-        load = splat(0.0)
+        ground = splat(0.0)
         if load_at > 0:
-            load = read_lanes(address, (n + 1) * record + load_at)
+            ground = load(address, (n + 1) * record + load_at)
         largest = largest_z = total = splat(0.0)
         for i in range(high - size + 1, high + 1):
             here = i * record
-            v = read_lanes(address, here + order)
-            largest = larger(largest, magnitude(v + load))
+            v = load(address, here + order)
+            largest = larger(largest, magnitude(v + ground))
             u = v * (1.0 / (order + 1))
             for k in range(order - 1, -1, -1):
-                c = read_lanes(address, here + k)
+                c = load(address, here + k)
                 v = v + c
                 u = u + c * (1.0 / (k + 1))
             total = total + v  # a maximum forgets what is not finite
             at = here + entries
             if moves:
-                write_lanes(address, at + U, read_lanes(address, at + U) + u)
-            write_lanes(address, at + V_END, v)
+                store(address, at + U, load(address, at + U) + u)
+            store(address, at + V_END, v)
             if kinks:
-                z = read_lanes(address, here + z_first + order)
+                z = load(address, here + z_first + order)
                 largest_z = larger(largest_z, magnitude(z))
                 for k in range(order - 1, -1, -1):
-                    z = z + read_lanes(address, here + z_first + k)
-                write_lanes(address, at + Z_END, z)
+                    z = z + load(address, here + z_first + k)
+                store(address, at + Z_END, z)
         if moves:
             largest = where_less(magnitude(total), splat(HUGE), largest, splat(np.inf))
             last = (n + 1) * record + LAST
-            write_lanes(address, last, larger(read_lanes(address, last), largest))
+            store(address, last, larger(load(address, last), largest))
         if moves and kinks:
             last = (n + 1) * record + LAST_Z
-            write_lanes(address, last, larger(read_lanes(address, last), largest_z))
+            store(address, last, larger(load(address, last), largest_z))
 
     return finish

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from pymc_features.simulators.compiled.vector import LANES
-from pymc_features.simulators.compiled.vector_memory import aligned
+from pymc_features.simulators.numbers.vectors import LANES, aligned
 from pymc_features.simulators.taylor.ground import Spans
 from pymc_features.simulators.taylor.kinks import batch_size
 from pymc_features.simulators.taylor.layout import (

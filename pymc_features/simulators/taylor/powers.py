@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import magnitude, splat, square_root, where_less
-from pymc_features.simulators.compiled.vector_math import exponential, larger, logarithm
-from pymc_features.simulators.compiled.vector_memory import any_less
+from pymc_features.simulators.numbers.compiled_numbers import larger, magnitude, square_root, where_less
+from pymc_features.simulators.numbers.vector_math import exponential, logarithm
+from pymc_features.simulators.numbers.vectors import any_less, splat
 from pymc_features.simulators.taylor.series import LONG, constant_of, write_constant
 
 DEGREE = 4

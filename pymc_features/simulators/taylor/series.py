@@ -15,8 +15,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import splat
-from pymc_features.simulators.compiled.vector_memory import read_lanes, write_lanes
+from pymc_features.simulators.numbers.vectors import load, splat, store
 
 RATE, Z = range(2)  # series of laws with kinks
 LONG = 2.0  # in steps: longer than any
@@ -103,25 +102,25 @@ class Series(NamedTuple):
 @jit
 def coefficient(spring, series, k):
     """Coefficient k of a series."""
-    return read_lanes(spring.address, spring.first + series * spring.length + k)
+    return load(spring.address, spring.first + series * spring.length + k)
 
 
 @jit
 def write_coefficient(spring, series, k, value):
     """Write coefficient k of a series."""
-    write_lanes(spring.address, spring.first + series * spring.length + k, value)
+    store(spring.address, spring.first + series * spring.length + k, value)
 
 
 @jit
 def constant_of(spring, name):
     """Constant number `name` of the spring."""
-    return read_lanes(spring.address, spring.constants + name)
+    return load(spring.address, spring.constants + name)
 
 
 @jit
 def write_constant(spring, name, value):
     """Write constant number `name` of the spring."""
-    write_lanes(spring.address, spring.constants + name, value)
+    store(spring.address, spring.constants + name, value)
 
 
 @jit

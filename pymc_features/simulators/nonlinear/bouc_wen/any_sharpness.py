@@ -4,7 +4,6 @@
 """
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import splat, where_less
 from pymc_features.simulators.nonlinear.bouc_wen.series import (
     ELASTIC,
     HYSTERETIC,
@@ -22,6 +21,8 @@ from pymc_features.simulators.nonlinear.bouc_wen.series import (
     loss_of,
     tangents,
 )
+from pymc_features.simulators.numbers.compiled_numbers import where_less
+from pymc_features.simulators.numbers.vectors import splat
 from pymc_features.simulators.taylor.adjoint.series import Adjoint, add_power, correlation
 from pymc_features.simulators.taylor.powers import (
     ACROSS,

@@ -13,8 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.simulators.compiled.vector import magnitude, square_root
-from pymc_features.simulators.compiled.vector_math import power
 from pymc_features.simulators.nonlinear.bouc_wen.any_sharpness import POWERS, AnySharpness
 from pymc_features.simulators.nonlinear.bouc_wen.series import (
     BETA,
@@ -26,6 +24,8 @@ from pymc_features.simulators.nonlinear.bouc_wen.series import (
     OneOrTwo,
 )
 from pymc_features.simulators.nonlinear.law import Functions, parameter, register, single
+from pymc_features.simulators.numbers.compiled_numbers import magnitude, square_root
+from pymc_features.simulators.numbers.vector_math import power
 
 
 class BoucWen(NamedTuple):

@@ -3,7 +3,8 @@
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit, unrolled
-from pymc_features.simulators.compiled.vector import splat, where_less
+from pymc_features.simulators.numbers.compiled_numbers import where_less
+from pymc_features.simulators.numbers.vectors import splat
 from pymc_features.simulators.taylor.adjoint.series import Adjoint, add_constant, correlation
 from pymc_features.simulators.taylor.series import (
     RATE,

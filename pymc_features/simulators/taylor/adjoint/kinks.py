@@ -15,13 +15,8 @@ the error of the polynomials: that place is taken to be fixed.
 from functools import cache
 
 from pymc_features.simulators.compiled.jit import jit, unrolled
-from pymc_features.simulators.compiled.vector import LANES, magnitude, splat, where_less
-from pymc_features.simulators.compiled.vector_memory import (
-    read_lanes,
-    read_number,
-    write_lanes,
-    write_number,
-)
+from pymc_features.simulators.numbers.compiled_numbers import magnitude, where_less
+from pymc_features.simulators.numbers.vectors import LANES, load, read_number, splat, store, write_number
 from pymc_features.simulators.taylor.adjoint.orders import bars_of
 from pymc_features.simulators.taylor.adjoint.series import add_coefficient
 from pymc_features.simulators.taylor.kinks import (
@@ -94,12 +89,12 @@ def turns_adjoint(series):
     def gather(at, batch, bars, count):
         """Begin a batch with the bars of what its pairs changed."""
         for c in range(length):
-            write_lanes(batch, rates + c, splat(0.0))
-            write_lanes(batch, zs + c, splat(0.0))
-            write_lanes(batch, shifted + c, splat(0.0))
+            store(batch, rates + c, splat(0.0))
+            store(batch, zs + c, splat(0.0))
+            store(batch, shifted + c, splat(0.0))
         for c in range(own_entries + CHANGE, own_record):
-            write_lanes(batch, c, splat(0.0))
-        write_lanes(batch, done_at, splat(0.0))
+            store(batch, c, splat(0.0))
+        store(batch, done_at, splat(0.0))
         for lane in range(count):
             place = int(read_number(at, (more + PLACE) * LANES + lane))
             there = place // record * kept_record
@@ -111,7 +106,7 @@ def turns_adjoint(series):
     @jit
     def scatter(at, batch, bars, count, z_end):
         """Add what a batch has found to the bars of its pairs."""
-        write_lanes(batch, done_at, z_end)
+        store(batch, done_at, z_end)
         for lane in range(count):
             place = int(read_number(at, (more + PLACE) * LANES + lane))
             there = place // record * kept_record
@@ -131,7 +126,7 @@ def turns_adjoint(series):
         """Split the bars of z into those of the new series and of the old one; return that by `left`."""
         e0 = e1 = e2 = e3 = e4 = slope = splat(0.0)
         for k in range(order, 0, -1):
-            c = hit * (read_lanes(at, zs + k) - read_lanes(at, old + k))
+            c = hit * (load(at, zs + k) - load(at, old + k))
             i1 = 1.0 / (k + 1)
             i2 = i1 / (k + 2)
             i3 = i2 / (k + 3)
@@ -142,8 +137,8 @@ def turns_adjoint(series):
             e3 = e3 * left + c * i3
             e4 = e4 * left + c * (i3 / (k + 4))
         change = own_entries + CHANGE
-        b0, b1, b2 = (read_lanes(batch, change), read_lanes(batch, change + 1), read_lanes(batch, change + 2))
-        b3, b4 = read_lanes(batch, change + 3), read_lanes(batch, change + 4)
+        b0, b1, b2 = (load(batch, change), load(batch, change + 1), load(batch, change + 2))
+        b3, b4 = load(batch, change + 3), load(batch, change + 4)
         m0 = e0 * left
         power = left * left
         m1 = e1 * power
@@ -154,14 +149,14 @@ def turns_adjoint(series):
         m4 = e4 * power * left
         if is_last:  # the moments are multiplied by df/dz at the end; bars are those of the force until then
             spring = Spring(at, length, length, constants)
-            by_z = tangent(spring, read_lanes(at, entries + Z_END))[2]
+            by_z = tangent(spring, load(at, entries + Z_END))[2]
             there = entries + CHANGE
-            of_by_z = b1 * (m1 + read_lanes(at, there + 1)) + b2 * (m2 + read_lanes(at, there + 2))
-            of_by_z = of_by_z + b3 * (m3 + read_lanes(at, there + 3)) + b4 * (m4 + read_lanes(at, there + 4))
-            write_lanes(batch, by_z_at, of_by_z)
+            of_by_z = b1 * (m1 + load(at, there + 1)) + b2 * (m2 + load(at, there + 2))
+            of_by_z = of_by_z + b3 * (m3 + load(at, there + 3)) + b4 * (m4 + load(at, there + 4))
+            store(batch, by_z_at, of_by_z)
             b1, b2, b3, b4 = by_z * b1, by_z * b2, by_z * b3, by_z * b4
             for c, b in enumerate((b1, b2, b3, b4)):
-                write_lanes(batch, change + 1 + c, b)
+                store(batch, change + 1 + c, b)
         of_left = b0 * slope + b1 * m0 + b2 * m1 + b3 * m2 + b4 * m3
         power = left
         for k in range(1, order + 1):
@@ -171,37 +166,37 @@ def turns_adjoint(series):
             inner = b3 * i3 + left * (b4 * (i3 / (k + 4)))
             bar = power * hit * (b0 + left * (b1 * i1 + left * (b2 * i2 + left * inner)))
             power = power * left
-            z_bar = read_lanes(batch, zs + k)
-            write_lanes(batch, shifted + k, (1.0 - hit) * z_bar - bar)
-            write_lanes(batch, zs + k, hit * z_bar + bar)
+            z_bar = load(batch, zs + k)
+            store(batch, shifted + k, (1.0 - hit) * z_bar - bar)
+            store(batch, zs + k, hit * z_bar + bar)
         return of_left * hit
 
     @jit
     def reverse_shift(at, batch, given):
         """Carry the bars of both shifted series back to those before, and through the kink's place."""
         x, left, kink, turns = given
-        zero, of_x = splat(0.0), read_lanes(batch, done_at)
-        write_lanes(batch, shifted, read_lanes(batch, zs))
+        zero, of_x = splat(0.0), load(batch, done_at)
+        store(batch, shifted, load(batch, zs))
         for k in range(order):
-            rate = (k + 1.0) * read_lanes(at, rates + k + 1)
-            of_x = of_x + read_lanes(batch, rates + k) * rate
-            of_x = of_x + read_lanes(batch, shifted + k) * ((k + 1.0) * read_lanes(at, old + k + 1))
+            rate = (k + 1.0) * load(at, rates + k + 1)
+            of_x = of_x + load(batch, rates + k) * rate
+            of_x = of_x + load(batch, shifted + k) * ((k + 1.0) * load(at, old + k + 1))
         for i in range(order - 1, -1, -1):
-            c, d = read_lanes(batch, rates + i), read_lanes(batch, shifted + i)
+            c, d = load(batch, rates + i), load(batch, shifted + i)
             for j in range(i, order):
-                c = read_lanes(batch, rates + j + 1) + x * c
-                d = read_lanes(batch, shifted + j + 1) + x * d
-                write_lanes(batch, rates + j + 1, c)
-                write_lanes(batch, shifted + j + 1, d)
+                c = load(batch, rates + j + 1) + x * c
+                d = load(batch, shifted + j + 1) + x * d
+                store(batch, rates + j + 1, c)
+                store(batch, shifted + j + 1, d)
         inside = kink * where_less(splat(TINY), left, splat(1.0), zero)
         at_end = kink - inside  # x = 1 - what has been done
-        write_lanes(batch, done_at, read_lanes(batch, done_at) - at_end * of_x)
-        slope = where_less(zero, turns, read_lanes(at, rates + 1), read_lanes(at, old + 1))
+        store(batch, done_at, load(batch, done_at) - at_end * of_x)
+        slope = where_less(zero, turns, load(at, rates + 1), load(at, old + 1))
         root = where_less(splat(1e-200), magnitude(slope), inside * of_x / slope, zero)
         for k in range(length):
             of_rate = turns * root
             add_lanes(batch, rates + k, zero - of_rate)
-            write_lanes(batch, zs + k, read_lanes(batch, shifted + k) - (root - of_rate))
+            store(batch, zs + k, load(batch, shifted + k) - (root - of_rate))
             root = root * x
 
     @jit
@@ -210,9 +205,9 @@ def turns_adjoint(series):
         is_last = True
         for number in range(int(read_number(trace, 0)) - 1, -1, -1):
             at = trace + 8 * LANES * (TRACE_HEADER + number * turn_size)
-            x, left = read_lanes(at, size + WHERE), read_lanes(at, size + LEFT)
-            hit, kink = read_lanes(at, size + HIT), read_lanes(at, size + KINK)
-            turns = kink * read_lanes(at, size + TURNS)
+            x, left = load(at, size + WHERE), load(at, size + LEFT)
+            hit, kink = load(at, size + HIT), load(at, size + KINK)
+            turns = kink * load(at, size + TURNS)
             count = int(read_number(at, (size + N_PAIRS) * LANES))
             if is_last:
                 gather(at, batch, bars, count)
@@ -220,17 +215,17 @@ def turns_adjoint(series):
             add_lanes(batch, done_at, splat(0.0) - of_left)
             spring = Spring(at, length, length, constants)
             of_spring = Spring(batch, length, length, own_constants)
-            z_sign = read_lanes(at, size + Z_SIGN_BEHIND)
-            loading = read_lanes(at, size + RATE_SIGN_BEHIND) * z_sign
+            z_sign = load(at, size + Z_SIGN_BEHIND)
+            loading = load(at, size + RATE_SIGN_BEHIND) * z_sign
             unexpand(spring, of_spring, loading, z_sign)
             if is_last:
-                z_end = read_lanes(at, entries + Z_END)
-                zero, of_by_z = splat(0.0), read_lanes(batch, by_z_at)
+                z_end = load(at, entries + Z_END)
+                zero, of_by_z = splat(0.0), load(batch, by_z_at)
                 of_end = untangent(spring, of_spring, z_end, (zero, zero, of_by_z), loading, z_sign)
-                write_lanes(batch, by_z_at, of_end)
+                store(batch, by_z_at, of_end)
             reverse_shift(at, batch, (x, left, kink, turns))
             is_last = read_number(at, (size + IS_FIRST) * LANES) > 0.0
             if is_last:  # the next one is the last of another batch
-                scatter(at, batch, bars, count, read_lanes(batch, by_z_at))
+                scatter(at, batch, bars, count, load(batch, by_z_at))
 
     return reverse_turns

@@ -19,8 +19,7 @@ from functools import cache
 from typing import NamedTuple
 
 from pymc_features.simulators.compiled.jit import jit, unrolled
-from pymc_features.simulators.compiled.vector import LANES, splat
-from pymc_features.simulators.compiled.vector_memory import prefetch, read_lanes, read_number, write_lanes
+from pymc_features.simulators.numbers.vectors import LANES, load, prefetch, read_number, splat, store
 from pymc_features.simulators.taylor.feedback import damping_share
 from pymc_features.simulators.taylor.ground import DEGREE
 from pymc_features.simulators.taylor.layout import (
@@ -100,9 +99,7 @@ def damping_adjoint(series, k):
         for j in range(n):
             total = splat(0.0)
             for i in range(n):
-                total = total + read_lanes(modal, i * n + j) * read_lanes(
-                    bars, first + (i + 1) * width + k + 1
-                )
+                total = total + load(modal, i * n + j) * load(bars, first + (i + 1) * width + k + 1)
             to = (j + 1) * own + entries + V_END if k == 0 else first + (j + 1) * width + k
             add_lanes(bars, to, share * total)
 
@@ -124,7 +121,7 @@ def damping_bars(series):
                 total = splat(0.0)
                 for k in range(order):
                     share = -1.0 / (k + 1)
-                    total = total + share * (read_lanes(address, v + k) * read_lanes(bars, bar + k + 1))
+                    total = total + share * (load(address, v + k) * load(bars, bar + k + 1))
                 add_lanes(modal_bars, i * n + j, total)
 
     return add_damping
@@ -150,63 +147,63 @@ def reverse_from(series, k):
     def begin(bars, there, at):
         """Vbar_k+1 / (k + 1)."""
         if not is_last:
-            return share * read_lanes(bars, at + k + 1)
-        v, u = read_lanes(bars, there + own_entries + V_END), read_lanes(bars, there + own_entries + U)
+            return share * load(bars, at + k + 1)
+        v, u = load(bars, there + own_entries + V_END), load(bars, there + own_entries + U)
         bar = v + splat(1.0 / (k + 2)) * u
-        write_lanes(bars, at + k + 1, bar)
+        store(bars, at + k + 1, bar)
         return share * bar
 
     @jit
     def order(address, bars, modal, n, ahead, high, size):
         end, here, there = (n + 1) * own, high * record, high * own
-        drag = read_lanes(address, (n + 1) * record + DRAG)
+        drag = load(address, (n + 1) * record + DRAG)
         first, behind = places(modal, n)
         at = first + high * row % (behind - first)
         bar = begin(bars, there, at)
-        pull = read_lanes(address, here + entries + MOBILITY) * bar
+        pull = load(address, here + entries + MOBILITY) * bar
         upper_rate = upper_drift = splat(0.0)
         if high < n:
-            upper_rate, upper_drift = read_lanes(bars, end + left), read_lanes(bars, end + left + 1)
+            upper_rate, upper_drift = load(bars, end + left), load(bars, end + left + 1)
         for i in range(high, high - size, -1):
             if 0 < k <= width:
                 prefetch(ahead, (i - 1) * width + k - 1)
             lower, under = here - record, there - own
             below = (at if at > first else behind) - row
             bar_lower = begin(bars, under, below)
-            pull_lower = read_lanes(address, lower + entries + MOBILITY) * bar_lower
+            pull_lower = load(address, lower + entries + MOBILITY) * bar_lower
             force = pull_lower - pull
-            write_lanes(bars, at + forces + k, force)
+            store(bars, at + forces + k, force)
             spring = Spring(address, here + length, length, here + constants)
             of_spring = Spring(bars, at + length, length, there + own_constants)
             if kinks:
                 has_kink = read_number(address, (here + entries + HAS_KINK) * LANES) > 0.0
                 of_rate, of_z = (there + rates, there + zs) if has_kink else (0, there + own_entries + Z_END)
                 if is_last:
-                    z_bar = read_lanes(bars, there + zs + 1 if has_kink else there + own_entries + Z_END)
-                    write_lanes(bars, at + zs + 1, z_bar * share)
+                    z_bar = load(bars, there + zs + 1 if has_kink else there + own_entries + Z_END)
+                    store(bars, at + zs + 1, z_bar * share)
             drift_bar, rate_bar, z_bar = expand(spring, of_spring, k, force)
-            rate_bar = rate_bar + read_lanes(address, here + entries + DASHPOT) * force
+            rate_bar = rate_bar + load(address, here + entries + DASHPOT) * force
             if kinks:
-                rate_bar = rate_bar + read_lanes(bars, of_rate)
-                z_bar = (z_bar + read_lanes(bars, of_z)) * last
-                write_lanes(bars, there + own_entries + Z_END if k == 0 else at + zs, z_bar)
-            v, u = read_lanes(bars, there + own_entries + V_END), read_lanes(bars, there + own_entries + U)
-            own_v = v + share * u if is_last else read_lanes(bars, at + k)
+                rate_bar = rate_bar + load(bars, of_rate)
+                z_bar = (z_bar + load(bars, of_z)) * last
+                store(bars, there + own_entries + Z_END if k == 0 else at + zs, z_bar)
+            v, u = load(bars, there + own_entries + V_END), load(bars, there + own_entries + U)
+            own_v = v + share * u if is_last else load(bars, at + k)
             own_v = own_v + (rate_bar - upper_rate - drag * bar)
             by_drift = (drift_bar - upper_drift) * last
             if k == 0:
-                write_lanes(bars, there + own_entries + V_END, own_v)
-                write_lanes(bars, there + own_entries + U, u + by_drift + read_lanes(bars, there + OF_U))
+                store(bars, there + own_entries + V_END, own_v)
+                store(bars, there + own_entries + U, u + by_drift + load(bars, there + OF_U))
             elif k == 1:
-                write_lanes(bars, at + 1, own_v + read_lanes(bars, there + 1))
-                write_lanes(bars, at, v + u + by_drift + read_lanes(bars, there))
+                store(bars, at + 1, own_v + load(bars, there + 1))
+                store(bars, at, v + u + by_drift + load(bars, there))
             else:
-                write_lanes(bars, at + k, own_v)
-                write_lanes(bars, at + k - 1, v + last * u + by_drift)
+                store(bars, at + k, own_v)
+                store(bars, at + k - 1, v + last * u + by_drift)
             upper_rate, upper_drift = rate_bar, drift_bar
             bar, pull, here, there, at = bar_lower, pull_lower, lower, under, below
-        write_lanes(bars, end + left, upper_rate)
-        write_lanes(bars, end + left + 1, upper_drift)
+        store(bars, end + left, upper_rate)
+        store(bars, end + left + 1, upper_drift)
         if modal != 0:
             undamp(bars, modal, n)
         if rest is not None:
@@ -228,37 +225,37 @@ def sums_of(series):
     @jit
     def add_sums(address, bars, modal, n, high, size):
         end, total = (n + 1) * record, splat(0.0)
-        drag, load = read_lanes(address, end + DRAG), read_lanes(address, end + load_at)
-        push = 0.5 * read_lanes(address, end + load_at + 1)
+        drag, ground = load(address, end + DRAG), load(address, end + load_at)
+        push = 0.5 * load(address, end + load_at + 1)
         curved = read_number(address, (end + load_at + CURVED) * LANES) > 0.0
         first, behind = places(modal, n)
         at = first + (high - size) * row % (behind - first)
         for i in range(high - size + 1, high + 1):
             here, there, lower = i * record, i * own, (i - 1) * record
             at = at + row if at + row < behind else first
-            v = read_lanes(address, here)
+            v = load(address, here)
             by_mass = by_drag = by_dashpot = splat(0.0)
             for k in range(order):
-                bar, force = read_lanes(bars, at + k + 1), read_lanes(bars, at + forces + k)
-                rate = read_lanes(address, here + rates + k) if kinks else v - read_lanes(address, lower + k)
+                bar, force = load(bars, at + k + 1), load(bars, at + forces + k)
+                rate = load(address, here + rates + k) if kinks else v - load(address, lower + k)
                 by_dashpot = by_dashpot + force * rate
                 by_drag = by_drag + (1.0 / (k + 1)) * bar * v
-                v = read_lanes(address, here + k + 1)
+                v = load(address, here + k + 1)
                 by_mass = by_mass + bar * v
-            of_loads = read_lanes(bars, at + 1) * load + read_lanes(bars, at + 2) * push
+            of_loads = load(bars, at + 1) * ground + load(bars, at + 2) * push
             if curved:
                 for k in range(2, min(order, DEGREE + 1)):
-                    share = read_lanes(address, end + load_at + k) * (1.0 / (k + 1))
-                    of_loads = of_loads + read_lanes(bars, at + k + 1) * share
+                    share = load(address, end + load_at + k) * (1.0 / (k + 1))
+                    of_loads = of_loads + load(bars, at + k + 1) * share
             by_mass = by_mass + drag * by_drag + of_loads
             total = total - by_drag
-            drift = read_lanes(address, here + entries + U) - read_lanes(address, lower + entries + U)
+            drift = load(address, here + entries + U) - load(address, lower + entries + U)
             spring = Spring(address, here + length, length, here + constants)
             of_spring = Spring(bars, at + length, length, there + own_constants)
             loading = sign = splat(0.0)
             if kinks:
-                sign = read_lanes(address, here + entries + Z_SIGN)
-                loading = read_lanes(address, here + entries + RATE_SIGN) * sign
+                sign = load(address, here + entries + Z_SIGN)
+                loading = load(address, here + entries + RATE_SIGN) * sign
             sums(spring, of_spring, drift, loading, sign)
             add_lanes(bars, there + own_entries + MOBILITY, by_mass)
             add_lanes(bars, there + own_entries + DASHPOT, by_dashpot)
@@ -278,9 +275,9 @@ def feedback_adjoint(series):
     def unpush(address, bars, i, force_1, force_2):
         """Bars of both integrals of a force that pushes the ends of spring i; add to those of the masses."""
         at, there = i * record + entries, i * own + own_entries
-        up, down = read_lanes(address, at + MOBILITY), read_lanes(address, at + MOBILITY - record)
-        v, v_below = read_lanes(bars, there + V_END), read_lanes(bars, there + V_END - own)
-        u, u_below = read_lanes(bars, there + U), read_lanes(bars, there + U - own)
+        up, down = load(address, at + MOBILITY), load(address, at + MOBILITY - record)
+        v, v_below = load(bars, there + V_END), load(bars, there + V_END - own)
+        u, u_below = load(bars, there + U), load(bars, there + U - own)
         of_up, of_down = up * (force_1 * v + force_2 * u), down * (force_1 * v_below + force_2 * u_below)
         add_lanes(bars, there + MOBILITY, 0.0 - of_up)
         add_lanes(bars, there + MOBILITY - own, of_down)
@@ -293,16 +290,16 @@ def feedback_adjoint(series):
         here, there, kink = s * record, s * own, i * record + entries + CHANGE
         at, of_kink = here + entries, i * own + own_entries + CHANGE
         j2, j3, j4 = (
-            read_lanes(address, kink + 2),
-            read_lanes(address, kink + 3),
-            read_lanes(address, kink + 4),
+            load(address, kink + 2),
+            load(address, kink + 3),
+            load(address, kink + 4),
         )
         spring = Spring(address, here + length, length, here + constants)
         of_spring = Spring(bars, there + length, length, there + own_constants)
-        rate_sign, z_sign = read_lanes(address, at + RATE_SIGN), read_lanes(address, at + Z_SIGN)
+        rate_sign, z_sign = load(address, at + RATE_SIGN), load(address, at + Z_SIGN)
         stiffness, z_by_drift, _ = tangent(spring, z)
-        dashpot = read_lanes(address, at + DASHPOT)
-        z_bar = read_lanes(bars, there + own_entries + Z_END)
+        dashpot = load(address, at + DASHPOT)
+        z_bar = load(bars, there + own_entries + Z_END)
         force_1, force_2 = stiffness * j3 + dashpot * j2, stiffness * j4 + dashpot * j3
         of_1, of_2 = unpush(address, bars, s, share * force_1, share * force_2)
         of_share = of_1 * force_1 + of_2 * force_2 + z_bar * (z_by_drift * j2)
@@ -315,7 +312,7 @@ def feedback_adjoint(series):
         of_stiffness = of_1 * j3 + of_2 * j4
         of_tangents = of_stiffness, z_bar * (share * j2 + damped * j3), splat(0.0)
         of_z = untangent(spring, of_spring, z, of_tangents, rate_sign * z_sign, z_sign)
-        write_lanes(bars, there + own_entries + Z_END, z_bar + of_z)
+        store(bars, there + own_entries + Z_END, z_bar + of_z)
         return of_share, by_drift * j3
 
     @jit
@@ -323,12 +320,12 @@ def feedback_adjoint(series):
         """Reverse of `damp`, and of its share in drifts of the springs from i + 1 down to i - 1."""
         modal, modal_bars = modals
         at, there = i * record + entries, i * own + own_entries
-        up, down = read_lanes(address, at + MOBILITY), read_lanes(address, at + MOBILITY - record)
-        j2, j3 = read_lanes(address, at + CHANGE + 2), read_lanes(address, at + CHANGE + 3)
+        up, down = load(address, at + MOBILITY), load(address, at + MOBILITY - record)
+        j2, j3 = load(address, at + CHANGE + 2), load(address, at + CHANGE + 3)
         of_j2 = of_j3 = of_up = of_down = splat(0.0)
         for j in range(1, n + 1):
             mass, to = j * own + own_entries, (j - 1) * n + i - 1
-            v, u = read_lanes(bars, mass + V_END), read_lanes(bars, mass + U)
+            v, u = load(bars, mass + V_END), load(bars, mass + U)
             share, bar = damping_share(modal, n, j, i, up, down), v * j2 + u * j3
             of_j2, of_j3 = of_j2 + share * v, of_j3 + share * u
             for c in range(3):  # the drift of spring i + 1 - c is that of its mass less that below
@@ -337,10 +334,10 @@ def feedback_adjoint(series):
                 elif j == i - c:
                     bar = bar - of_drifts[c]
             add_lanes(modal_bars, to, up * bar)
-            of_up = of_up + read_lanes(modal, to) * bar
+            of_up = of_up + load(modal, to) * bar
             if i > 1:
                 add_lanes(modal_bars, to - 1, 0.0 - down * bar)
-                of_down = of_down + read_lanes(modal, to - 1) * bar
+                of_down = of_down + load(modal, to - 1) * bar
         add_lanes(bars, there + MOBILITY, up * of_up)
         add_lanes(bars, there + MOBILITY - own, 0.0 - down * of_down)
         add_lanes(bars, there + CHANGE + 2, of_j2)
@@ -352,26 +349,26 @@ def feedback_adjoint(series):
 
         `modals` are the addresses of H M^-1 C and its bars.
         """
-        drag, modal = read_lanes(address, (n + 1) * record + DRAG), modals[0]
+        drag, modal = load(address, (n + 1) * record + DRAG), modals[0]
         for i in range(n, 0, -1):
             at, there = i * record + entries, i * own + own_entries
             if read_number(address, (at + HAS_KINK) * LANES) > 0.0:
-                up, down = read_lanes(address, at + MOBILITY), read_lanes(address, at + MOBILITY - record)
-                j1, j2 = read_lanes(address, at + CHANGE + 1), read_lanes(address, at + CHANGE + 2)
+                up, down = load(address, at + MOBILITY), load(address, at + MOBILITY - record)
+                j1, j2 = load(address, at + CHANGE + 1), load(address, at + CHANGE + 2)
                 for c in range(CHANGE, CHANGE + 5):
-                    write_lanes(bars, there + c, splat(0.0))
+                    store(bars, there + c, splat(0.0))
                 zero = splat(0.0)
                 of_up, of_down = (zero, zero), (zero, zero)
                 damped = damping_share(modal, n, i - 1, i, up, down)
                 damped_above = damping_share(modal, n, i, i, up, down)
                 if i < n:
                     shares = up, damping_share(modal, n, i + 1, i, up, down) - damped_above
-                    of_up = unrespond(address, bars, i + 1, i, shares, read_lanes(before, 3 * i + 2))
+                    of_up = unrespond(address, bars, i + 1, i, shares, load(before, 3 * i + 2))
                 shares = 0.0 - (up + down), damped_above - damped
-                of_own = unrespond(address, bars, i, i, shares, read_lanes(before, 3 * i + 1))
+                of_own = unrespond(address, bars, i, i, shares, load(before, 3 * i + 1))
                 if i > 1:
                     shares = down, damped - damping_share(modal, n, i - 2, i, up, down)
-                    of_down = unrespond(address, bars, i - 1, i, shares, read_lanes(before, 3 * i))
+                    of_down = unrespond(address, bars, i - 1, i, shares, load(before, 3 * i))
                 if modal != 0:
                     undamp(address, bars, modals, n, i, (of_up[1], of_own[1], of_down[1]))
                 of_1, of_2 = unpush(address, bars, i, j1 - drag * j2, j2)
@@ -380,6 +377,6 @@ def feedback_adjoint(series):
                 add_lanes(bars, there + CHANGE + 1, of_1)
                 add_lanes(bars, there + CHANGE + 2, of_2 - drag * of_1)
                 add_lanes(bars, (n + 1) * own + DRAG, 0.0 - j2 * of_1)
-                write_lanes(bars, there + CHANGE, read_lanes(bars, there + Z_END))
+                store(bars, there + CHANGE, load(bars, there + Z_END))
 
     return unapply

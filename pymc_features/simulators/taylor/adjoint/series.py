@@ -20,8 +20,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from pymc_features.simulators.compiled.jit import jit, unrolled
-from pymc_features.simulators.compiled.vector import splat, where_less
-from pymc_features.simulators.compiled.vector_math import exponential, logarithm
+from pymc_features.simulators.numbers.compiled_numbers import where_less
+from pymc_features.simulators.numbers.vector_math import exponential, logarithm
+from pymc_features.simulators.numbers.vectors import splat
 from pymc_features.simulators.taylor.layout import add_lanes
 from pymc_features.simulators.taylor.powers import (
     ACROSS,

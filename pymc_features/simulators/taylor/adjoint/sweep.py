@@ -19,12 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import LANES, splat
-from pymc_features.simulators.compiled.vector_memory import (
+from pymc_features.simulators.numbers.vectors import (
+    LANES,
     aligned,
-    read_lanes,
+    load,
     read_number,
-    write_lanes,
+    splat,
+    store,
     write_number,
 )
 from pymc_features.simulators.oscillators.arguments import (
@@ -234,10 +235,10 @@ def branches_of(series):
         for i in range(1, n + 1):
             if has_kink(address, i):
                 here = i * own
-                z = read_lanes(bars, here + own_entries + Z_END)
+                z = load(bars, here + own_entries + Z_END)
                 for k in range(length):
-                    write_lanes(bars, here + zs + k, z)
-                    write_lanes(bars, here + rates + k, splat(0.0))
+                    store(bars, here + zs + k, z)
+                    store(bars, here + rates + k, splat(0.0))
 
     @jit
     def restore_branches(group, state):
@@ -246,9 +247,9 @@ def branches_of(series):
         for i in range(1, n + 1):
             if has_kink(address, i):
                 here = i * record
-                rate_sign, z_sign = signs_of(read_lanes(state, (i - 1) * width + 3))
-                write_lanes(address, here + entries + RATE_SIGN, rate_sign)
-                write_lanes(address, here + entries + Z_SIGN, z_sign)
+                rate_sign, z_sign = signs_of(load(state, (i - 1) * width + 3))
+                store(address, here + entries + RATE_SIGN, rate_sign)
+                store(address, here + entries + Z_SIGN, z_sign)
                 branch(Spring(address, here + length, length, here + constants), rate_sign * z_sign, z_sign)
 
     return spread, restore_branches
@@ -334,21 +335,21 @@ def misfits_of(series):
         share, count = 2.0 / total, memory.n_statistics
         for j in range(n_sensors):
             here, at = (wanted.sensors[j] + 1) * own, sample * n_sensors + j
-            misfit, weights = read_lanes(tape.misfits, at), memory.weights + 8 * LANES * j * count
+            misfit, weights = load(tape.misfits, at), memory.weights + 8 * LANES * j * count
             bar = splat(0.0)
             if observed[j, sample] == observed[j, sample]:  # NaN is a gap
-                bar = share * read_lanes(weights, 0) * misfit
+                bar = share * load(weights, 0) * misfit
             if count > 1:
                 change = splat(0.0)
                 if sample > 0:
-                    change = misfit - read_lanes(tape.misfits, at - n_sensors)
+                    change = misfit - load(tape.misfits, at - n_sensors)
                 else:
-                    bar = bar + read_lanes(weights, 2)
+                    bar = bar + load(weights, 2)
                 if sample < total - 1:
-                    change = change - (read_lanes(tape.misfits, at + n_sensors) - misfit)
+                    change = change - (load(tape.misfits, at + n_sensors) - misfit)
                 else:
-                    bar = bar + read_lanes(weights, 3)
-                bar = bar + share * read_lanes(weights, 1) * change
+                    bar = bar + load(weights, 3)
+                bar = bar + share * load(weights, 1) * change
             if wanted.quantity == RELATIVE_DISPLACEMENT:
                 add_lanes(memory.bars, here + OF_U, 0.0 - bar)
             elif wanted.quantity == RELATIVE_VELOCITY:
@@ -360,7 +361,7 @@ def misfits_of(series):
     def forget(memory, wanted):
         for j in range(wanted.sensors.size):
             for c in range(OF_U + 1):
-                write_lanes(memory.bars, (wanted.sensors[j] + 1) * own + c, splat(0.0))
+                store(memory.bars, (wanted.sensors[j] + 1) * own + c, splat(0.0))
 
     return weigh, forget
 
@@ -380,13 +381,13 @@ def sweep_of(series):
         n, factor, inverse = group.n, splat(ratio), splat(1.0 / ratio)
         for i in range(1, n + 1):
             at = i * own + entries
-            write_lanes(memory.bars, at + V_END, inverse * read_lanes(memory.bars, at + V_END))
-            write_lanes(memory.bars, at + DASHPOT, factor * read_lanes(memory.bars, at + DASHPOT))
+            store(memory.bars, at + V_END, inverse * load(memory.bars, at + V_END))
+            store(memory.bars, at + DASHPOT, factor * load(memory.bars, at + DASHPOT))
         end = (n + 1) * own + DRAG
-        write_lanes(memory.bars, end, inverse * read_lanes(memory.bars, end))
+        store(memory.bars, end, inverse * load(memory.bars, end))
         if group.modal != 0:
             for i in range(n * n):
-                write_lanes(memory.modal, i, inverse * read_lanes(memory.modal, i))
+                store(memory.modal, i, inverse * load(memory.modal, i))
 
     @jit
     def count_of(tape, span):

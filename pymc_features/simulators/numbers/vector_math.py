@@ -1,24 +1,18 @@
-"""Elementary functions of vectors (`lanes.py`), for the laws of springs."""
+"""Elementary functions of vectors, for the laws of springs."""
 
 from math import factorial
 
 import numpy as np
 
 from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.compiled.vector import nearest, splat, where_less
-from pymc_features.simulators.compiled.vector_memory import all_equal, exponent, scale
+from pymc_features.simulators.numbers.compiled_numbers import larger, where_less
+from pymc_features.simulators.numbers.vectors import all_equal, exponent, nearest, scale, splat
 
 TINY = 1e-300  # what a zero counts as in a logarithm
 # Coefficients of log m / r = 2 sum r^(2k) / (2k + 1), r = (m - 1)/(m + 1), for m from sqrt(1/2) to sqrt(2),
 # and of the exponential, for arguments below log(2)/2: the next terms are below 1e-18
 LOGARITHM = tuple(2.0 / (2 * k + 1) for k in range(12))
 EXPONENTIAL = tuple(1.0 / factorial(k) for k in range(14))
-
-
-@jit
-def larger(a, b):
-    """The larger of two numbers, lane by lane."""
-    return where_less(a, b, b, a)
 
 
 @jit
