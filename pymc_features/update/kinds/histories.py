@@ -21,12 +21,12 @@ from pymc_features.prediction import posterior_response
 from pymc_features.prediction.draws import structure_draws
 from pymc_features.records import CyclicTest, Record
 from pymc_features.simulators.quantities import checked_request
-from pymc_features.update.components import principal_components
 from pymc_features.update.config.entries import Parameter, evaluated
 from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds import base
 from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict, kinds_of, table
+from pymc_features.update.kinds.components import principal_components
 from pymc_features.update.templates.numbers import interval_texts
 
 DRAWS = 200
