@@ -70,10 +70,10 @@ def fitted_bands(
 
 def rows_of_fit(fit: TransferFit) -> list[tuple]:
     """Frequency, damping ratio and shape of length one of each mode, their deviations; participation, too."""
-    modes, rows = fit.modes, []
+    modes, whole, rows = fit.modes, fit.covariance, []
     k, n_in = modes.table.shape[1], modes.inputs.shape[1]
     for i, (w, z, p_in, p_out) in enumerate(zip(*modes[:4], strict=True)):
-        covariance = fit.covariance[i * k : (i + 1) * k, i * k : (i + 1) * k]
+        covariance = whole[i * k : (i + 1) * k, i * k : (i + 1) * k]
         length = np.linalg.norm(p_out)
         unit = p_out / length
         of_shape, of_inputs = np.zeros((len(unit), k)), np.zeros((n_in, k))

@@ -14,6 +14,8 @@ from pytensor.graph.replace import graph_replace
 from pymc_features._checks import as_numbers, check_finite, check_group, check_mapping, message
 from pymc_features.smc.density.rows import ONE_CALL
 
+SAME_MODEL = "Pass what `sample` returned for the same model."
+
 
 def check_continuous(model, purpose: str):
     """Refuse models without free parameters, or with discrete ones."""
@@ -50,9 +52,6 @@ def initial_values(model, point: dict | None = None, argument: str = "point") ->
     )
     values = compile_function([], expressions, mode="FAST_COMPILE")()
     return {name: np.asarray(v, dtype=np.float64) for name, v in zip(names, values, strict=True)}
-
-
-SAME_MODEL = "Pass what `sample` returned for the same model."
 
 
 def posterior_for(model, idata, name: str, advice: str = SAME_MODEL) -> xr.Dataset:

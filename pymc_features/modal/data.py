@@ -249,7 +249,7 @@ class ModalData:
         """Modal masses (m, r) [kg] of the shapes as they are scaled, from forces at a channel of their name.
 
         Of a structure that a force shakes where a channel measures in its direction: the shape there over the
-        participation. NaN for other inputs.
+        participation. NaN for other inputs. ValueError without a participation, or without shapes.
         """
         if self.participation is None:
             raise ValueError("`modal_masses` needs a `participation`. Identify modes with their excitation.")

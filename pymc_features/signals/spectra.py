@@ -75,7 +75,7 @@ def low_frequency_gains(
 
 
 def where_both(x, y, shortest: int):
-    """What two series (time,) say without the gaps of either, None where that is too little; see above."""
+    """What two series (time,) say without gaps, by `low_frequency_gains`; None if that is too little."""
     gaps = np.isnan(x) | np.isnan(y)
     if not gaps.any():
         return x, y

@@ -26,7 +26,6 @@ from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds import base
 from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict, kinds_of, table
-from pymc_features.update.kinds.components import principal_components
 from pymc_features.update.templates.numbers import interval_texts
 
 DRAWS = 200
@@ -39,6 +38,7 @@ SEGMENTS = 8  # of a record, for coherences
 ZOOM = 4.0  # [s] around the strongest motion
 ERROR_OF_FIT = ("likelihood", "sensor", "rms error / measured rms", "samples in the 90 % band")
 LARGEST = ("likelihood", "largest response", "unit", "5 %", "50 %", "95 %")
+COMPONENTS, HELD = 6, 0.999  # at most so many, or as many as hold this share of the variance
 
 
 @dataclass(frozen=True)
@@ -399,3 +399,35 @@ def strongest(part) -> tuple[float, float]:
     last = float(observed["time"][-1])
     first = max(0.0, min(peak - 0.4 * ZOOM, last - ZOOM))
     return first, min(last, first + ZOOM)
+
+
+def principal_components(blocks, median, labels) -> xr.Dataset:
+    """Responses of some draws, less their median, by principal components: a page shows any, and holds few.
+
+    The deviations D (sensor and time, draw) have the Gram matrix D'D = V diag(s^2) V'; the components are
+    U = D V with the largest s, and a draw is the median plus U times its row of V. The share of the variance
+    that is held is in `attrs`.
+    """
+
+    def deviations():
+        for first, values in blocks():
+            part = slice(first, first + values.shape[1])
+            yield part, values - median.values[:, part, None]
+
+    gram = sum(np.einsum("rta,rtb->ab", d, d) for _, d in deviations())
+    squares, vectors = np.linalg.eigh(gram)
+    squares, vectors = np.maximum(squares[::-1], 0.0), vectors[:, ::-1]
+    total = squares.sum()
+    share = np.cumsum(squares) / total if total > 0.0 else np.ones(len(squares))
+    n = min(int(np.searchsorted(share, HELD)) + 1, COMPONENTS, len(squares))
+    component = np.zeros((n, *median.shape), np.float32)
+    for part, d in deviations():
+        component[:, :, part] = np.einsum("rts,sc->crt", d, vectors[:, :n])
+    return xr.Dataset(
+        {
+            "component": (("component", *median.dims), component),
+            "coefficient": (("sample", "component"), vectors[:, :n]),
+        },
+        {"sensor": median["sensor"], "time": median["time"], **labels},
+        {"share": float(share[n - 1])},
+    )
