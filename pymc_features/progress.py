@@ -40,6 +40,7 @@ class CtrlC:
         if self.pressed and self.ends_process:
             self.end(b"Interrupted again: ended at once; finished parts are kept.\n")
         self.pressed = True
+        sys.unraisablehook = lambda unraisable: None  # objects that are left half made complain at their end
         raise KeyboardInterrupt
 
     def end(self, sentence: bytes) -> NoReturn:
@@ -151,7 +152,6 @@ class PartProgress:
 
     def __enter__(self):
         self.unraisable = sys.unraisablehook
-        sys.unraisablehook = self._ignored
         self.handler = signal.getsignal(signal.SIGINT)
         self.ctrl_c = self.handler if isinstance(self.handler, CtrlC) else CtrlC(ends_process=False)
         if self.handler is signal.default_int_handler:
@@ -162,13 +162,10 @@ class PartProgress:
 
     def __exit__(self, *error):
         self.bar.stop()
-        sys.unraisablehook = self.unraisable
+        if not self.ctrl_c.ends_process:
+            sys.unraisablehook = self.unraisable
         if self.handler is signal.default_int_handler:
             signal.signal(signal.SIGINT, self.handler)
-
-    def _ignored(self, unraisable):
-        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-            self.unraisable(unraisable)
 
     def update(self, part, done, total):
         """Show that `part` is in work after `done` of `total`; stop if asked to."""

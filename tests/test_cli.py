@@ -153,12 +153,20 @@ def wait(words):
     print(words, file=sys.stderr, flush=True)
     time.sleep(100)
 
+class HalfMade:
+    def __init__(self):
+        wait("at work")
+        self.made = True
+
+    def __del__(self):
+        assert self.made
+
 def slow(options, console):
     options.out = "here"
     multiprocessing.get_context("fork").Process(target=time.sleep, args=(100,), daemon=True).start()
     with PartProgress(console, "update"):
         try:
-            wait("at work")
+            HalfMade()
         finally:
             if "unwinding" in options.config:
                 wait("stopping")
