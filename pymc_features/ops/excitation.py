@@ -9,7 +9,7 @@ from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
 
 from pymc_features import band_limited
-from pymc_features.simulators.excitation import excitation_of, refined_request, request_of_family
+from pymc_features.simulators.excitation import excitation_of, own_values, refined_request, request_of_family
 from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.oscillators.arguments import Excitation
 
@@ -87,7 +87,7 @@ class Refined(OfRecord):
 
 
 class OwnValues(OfRecord):
-    """A band-limited record and its derivatives at the outputs, (5, d, u); see `band_limited.evaluated`.
+    """A band-limited record and its derivatives at the outputs, (5, d, u); see `excitation.own_values`.
 
     Parameters
     ----------
@@ -103,4 +103,4 @@ class OwnValues(OfRecord):
 
     def perform(self, node, inputs, output_storage):
         values, substeps, stride = inputs
-        output_storage[0][0] = band_limited.evaluated(values, self.dt, int(substeps), int(stride))
+        output_storage[0][0] = own_values(values, self.dt, int(substeps), int(stride))

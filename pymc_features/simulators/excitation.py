@@ -18,6 +18,7 @@ from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation
 from pymc_features.simulators.request import Request
 
 FINE, MIDDLE, HIGHEST = 0.03, 0.15, 1.0  # of the sampling rate: frequencies from where factors change
+FILLED = 128  # samples, a multiple of a block's
 SHARE = 0.95  # of the structures whose highest frequency counts
 STIFFEST = 500.0  # rate of a yielding chain, times the marched step, up to which steps through one are found
 
@@ -29,9 +30,15 @@ def excitation_of(values: np.ndarray, record, asked: Request) -> Excitation:
         return Excitation(np.require(values, requirements="W"), dt, substeps, stride, NO_DIRECT)
     rows = np.atleast_2d(values)
     fine = band_limited.refined(rows, asked.factor).reshape(*values.shape[:-1], -1)
-    direct = band_limited.evaluated(rows, dt, substeps, stride)
+    direct = own_values(rows, dt, substeps, stride)
     common = gcd(stride * asked.factor, substeps)
     return Excitation(fine, dt / asked.factor, substeps // common, stride * asked.factor // common, direct)
+
+
+def own_values(rows: np.ndarray, dt: float, substeps: int, stride: int) -> np.ndarray:
+    """`Excitation.direct` of a band-limited record (d, t), with zeros that fill the last block of a march."""
+    found = band_limited.evaluated(rows, dt, substeps, stride)
+    return np.pad(found, [(0, 0), (0, 0), (0, -found.shape[2] % FILLED)])
 
 
 def refinement(frequencies: np.ndarray, dt: float) -> int:

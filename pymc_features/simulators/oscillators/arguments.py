@@ -36,8 +36,8 @@ class Excitation(NamedTuple):
     stride : int
         Steps of the recursion between two outputs.
     direct : array (5, d, u) or (0, 0, 0)
-        The inputs' own values and their first four derivatives at the outputs; empty where the straight lines
-        are the inputs.
+        The inputs' own values and their first four derivatives at the outputs, which zeros may follow; empty
+        where the straight lines are the inputs.
     """
 
     acceleration: np.ndarray

@@ -119,9 +119,23 @@ def some_missing(observed):
 
 
 @jit
+def in_blocks(direct, length, share):
+    """The inputs' own values (o d v) and v, where they lie if they fill all blocks, or else a copy."""
+    orders, inputs, count = direct.shape
+    if count >= length and count % share == 0:
+        return direct.reshape(-1), count
+    own = new_numbers(orders * inputs * length)
+    for row in range(orders * inputs):
+        for k in range(min(length, count)):
+            own[row * length + k] = direct[row // inputs, row % inputs, k]
+    return own, length
+
+
+@jit
 def new_samples(excitation, observed, n_times, n_sensors, widths):
     """`SampleArrays` and `Samples` of inputs (d, t), and of data (s, u), or none (0, 0) for a response."""
-    inputs, direct, stride = excitation.acceleration.shape[0], excitation.direct, excitation.stride
+    inputs, stride = excitation.acceleration.shape[0], excitation.stride
+    direct = np.ascontiguousarray(excitation.direct)  # reached by address
     share, sensors = lanes(widths.sample), even(n_sensors)
     size = BLOCK * share
     n_blocks = (n_times + size - 1) // size
@@ -129,7 +143,7 @@ def new_samples(excitation, observed, n_times, n_sensors, widths):
     step_length = length * stride
     steps, mask = new_numbers(inputs * step_length), new_numbers(sensors * size)
     copy_inputs(excitation, steps, step_length)
-    ground, is_own, orders = steps, direct.size > 0, 1
+    ground, is_own, orders, own_length = steps, direct.size > 0, 1, length
     if stride > 1:
         ground = new_numbers(inputs * length)
         for i in range(inputs * length):
@@ -137,11 +151,7 @@ def new_samples(excitation, observed, n_times, n_sensors, widths):
     own = ground
     if is_own:
         orders = direct.shape[0]
-        own = new_numbers(orders * inputs * length)
-        for o in range(orders):
-            for i in range(inputs):
-                for k in range(min(length, direct.shape[2])):
-                    own[(o * inputs + i) * length + k] = direct[o, i, k]
+        own, own_length = in_blocks(direct, length, share)
     arrays, like = SampleArrays(steps, ground, own, new_numbers(sensors * size), mask), widths.sample
     return arrays, Samples(
         view(steps, 0.0),
@@ -150,7 +160,7 @@ def new_samples(excitation, observed, n_times, n_sensors, widths):
         length // share,
         view(own, like),
         is_own,
-        length // share,
+        own_length // share,
         view(mask, like),
         some_missing(observed),
         n_blocks,
