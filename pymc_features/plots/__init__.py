@@ -10,7 +10,7 @@ from pymc_features.plots.draws import chains, natural_frequencies, prior_posteri
 from pymc_features.plots.histories import channels, predictive, record, response
 from pymc_features.plots.hysteresis import loops
 from pymc_features.plots.modes import mac, mode_shapes
-from pymc_features.plots.spectra import response_functions, singular_values
+from pymc_features.plots.spectra import response_functions, singular_values, stabilisation
 
 __all__ = [
     "chains",
@@ -28,6 +28,7 @@ __all__ = [
     "sensor_placement",
     "sequence",
     "singular_values",
+    "stabilisation",
     "tempering",
     "tolerance",
     "widths",

@@ -14,6 +14,7 @@ from scipy.linalg import eigh
 import pymc_features as pmf
 from benchmarks import truth
 from pymc_features import ModalDamping, SpringMassChain, cli
+from pymc_features.ambient import subspace
 from pymc_features.ambient.fit import fitted_spectra
 from pymc_features.exceptions import AmbientWarning, ConfigError
 from pymc_features.signals.spectra import averaged_spectra
@@ -243,6 +244,7 @@ def test_check_says_the_bands_and_draws(path, capfd, drawn):
     assert cli.main(["check", str(path)]) == 0
     said = capfd.readouterr().err
     assert re.search(r"bands = \[\[\d\.\d+, \d\.\d+\], \[\d\.\d+, \d\.\d+\]\]  # Hz", said)
+    assert ("subspace identification (pyOMA2) has" in said) == subspace.is_installed()
     assert "all 2 identified modes" in said and "nothing was found wrong" in said
     assert path.with_name("wind-check.png").stat().st_size > 10_000
     assert path.with_name("wind-check-modes.png").stat().st_size > 5_000

@@ -12,7 +12,7 @@ import xarray as xr
 from pydantic import Field, model_validator
 
 from pymc_features import plots
-from pymc_features.ambient import AmbientResponse, identify_modes, propose_bands, spectral_response
+from pymc_features.ambient import AmbientResponse, identify_modes, propose_bands, spectral_response, subspace
 from pymc_features.ambient.bands import checked_bands
 from pymc_features.ambient.fit import fitted_spectra
 from pymc_features.exceptions import AmbientWarning, ConfigError
@@ -220,6 +220,8 @@ class Ambient(KindOfData):
     def check(self, problem, path):
         wrote = base.drawn_to(path, self.draw)
         yield f"bands = [{', '.join(f'[{low:.4g}, {high:.4g}]' for low, high in self.bands)}]  # Hz"
+        if self.beside and subspace.is_installed():
+            yield from subspace.opinion_on(self.beside[0].data, self.channels, self.base)
         yield wrote
 
     def tables(self, problem, result):
