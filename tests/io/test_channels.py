@@ -4,7 +4,6 @@ import pickle
 import re
 import warnings
 
-import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -15,6 +14,7 @@ from pymc_features.exceptions import ChannelWarning
 from pymc_features.io.channels import _aligned
 from pymc_features.io.reading.recording import Channel, even_clock
 from pymc_features.signals import check_channels
+from support.matlab_files import save_v73
 from support.refusals import refusals
 from support.warned import messages
 
@@ -212,14 +212,7 @@ def test_at2_files(tmp_path):
 
 def save(folder, name="frame.mat", version=5, **variables):
     path = folder / name
-    if version == 5:
-        savemat(path, variables)
-        return path
-    with h5py.File(path, "w") as file:
-        for key, value in variables.items():
-            codes = [ord(letter) for letter in value] if isinstance(value, str) else np.asarray(value, float)
-            item = file.create_dataset(key, data=np.atleast_2d(np.asarray(codes).T))
-            item.attrs["MATLAB_class"] = np.bytes_("char" if isinstance(value, str) else "double")
+    (savemat if version == 5 else save_v73)(path, variables)
     return path
 
 

@@ -13,6 +13,8 @@ from pymc_features.io.reading.recording import Opening
 from support import record_files as files
 from support.record_examples import COUNTS, EXAMPLES, FILM, KNET_GAL, MOTION, N, named
 
+pytestmark = pytest.mark.filterwarnings("error")
+
 each_example = pytest.mark.parametrize("name", EXAMPLES)
 
 
@@ -21,13 +23,6 @@ def write(folder, name, text=None, suffix=None):
     path = folder / f"{name}{example.suffix if suffix is None else suffix}"
     path.write_text(example.text if text is None else text, encoding="latin-1")
     return path
-
-
-@pytest.fixture(autouse=True)
-def no_warnings():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
 
 
 # --- what is read -------------------------------------------------------------------------------

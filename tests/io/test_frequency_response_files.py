@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +13,13 @@ from scipy.io import savemat
 from pymc_features import read_channels
 from pymc_features.io import read_frequency_response
 
+pytestmark = pytest.mark.filterwarnings("error::UserWarning")
+
 F = np.arange(1.0, 13.0)
 H = (F - 6.5) + 1j * (1.0 + F**2)  # no value is zero, no part without a sign
 OTHER = H * np.exp(0.3j) / 7.0
 DATA = Path(os.environ.get("PYMC_FEATURES_DATA", "/none"))
 real_data = pytest.mark.skipif(not DATA.is_dir(), reason="without the data")
-
-
-@pytest.fixture(autouse=True)
-def no_warnings():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)
-        yield
 
 
 def table(path, labels, *columns, cut=","):

@@ -8,38 +8,14 @@ from scipy.io import loadmat, savemat
 
 from pymc_features.io import read_channels, read_record
 from pymc_features.io.formats.matlab import load_variables
+from support.matlab_files import save_v73
 from support.refusals import refusals
 
 ACCELERATION = np.array([0.0, 0.1, -0.25, 0.05])
 TIME = 0.02 * np.arange(4)
 
 
-def save_v5(path, variables):
-    savemat(path, variables)
-
-
-def save_v73(path, variables):
-    """The layout MATLAB writes: a 512-byte preamble, transposed arrays, text as 16-bit codes."""
-    with h5py.File(path, "w", userblock_size=512) as file:
-        for name, value in variables.items():
-            if isinstance(value, str):
-                item = file.create_dataset(name, data=np.array([[ord(c)] for c in value], dtype=np.uint16))
-                item.attrs["MATLAB_class"] = np.bytes_("char")
-            elif isinstance(value, dict):
-                group = file.create_group(name)
-                group.attrs["MATLAB_class"] = np.bytes_("struct")
-                for key, field in value.items():
-                    group.create_dataset(key, data=field)
-            else:
-                value = np.atleast_2d(value)
-                item = file.create_dataset(name, data=value.T)
-                kind = {"float64": "double", "float32": "single"}.get(value.dtype.name, value.dtype.name)
-                item.attrs["MATLAB_class"] = np.bytes_(kind)
-    with path.open("r+b") as file:
-        file.write(b"MATLAB 7.3 MAT-file".ljust(512))
-
-
-@pytest.fixture(params=[save_v5, save_v73], ids=["v5", "v7.3"])
+@pytest.fixture(params=[savemat, save_v73], ids=["v5", "v7.3"])
 def save(request, tmp_path):
     def save_and_return_path(**variables):
         path = tmp_path / "motion.mat"

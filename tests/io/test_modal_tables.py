@@ -3,7 +3,6 @@
 import csv
 import json
 import time
-import warnings
 from dataclasses import dataclass
 
 import h5py
@@ -18,17 +17,12 @@ from support import modal_files as files
 from support.modal_files import DAMPING, FREQUENCIES, IMAGINARY, SHAPES
 from support.refusals import refusals
 
+pytestmark = pytest.mark.filterwarnings("error")
+
 COMPLEX = SHAPES + 1j * IMAGINARY
 CHANNELS = ["floor 1", "floor 2", "roof"]
 OMEGA = 2.0 * np.pi * FREQUENCIES
 SD = np.array([0.01, 0.02, 0.03])
-
-
-@pytest.fixture(autouse=True)
-def no_warnings():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
 
 
 def save(folder, text, name="modes.csv"):
