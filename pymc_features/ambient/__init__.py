@@ -2,6 +2,7 @@
 
 from pymc_features.ambient.identify import identify_modes, propose_bands
 from pymc_features.ambient.response import AmbientResponse, SpectralResponse, spectral_response
+from pymc_features.ambient.subspace import subspace_poles
 
 __all__ = [
     "AmbientResponse",
@@ -9,5 +10,6 @@ __all__ = [
     "identify_modes",
     "propose_bands",
     "spectral_response",
+    "subspace_poles",
 ]
 __dir__ = __all__.copy

@@ -16,6 +16,7 @@ from io import StringIO
 import numpy as np
 import xarray as xr
 
+from pymc_features._checks import check_integer, check_positive
 from pymc_features.ambient.known_input import split_channels
 from pymc_features.modal.data import ModalData, mac
 from pymc_features.signals import sampling_step
@@ -32,18 +33,27 @@ def is_installed() -> bool:
 
 
 def subspace_poles(
-    channels: xr.DataArray, excitation=None, *, lowest: float | None, order: int
+    channels: xr.DataArray,
+    excitation: xr.DataArray | str | list[str] | None = None,
+    *,
+    lowest: float | None = None,
+    order: int = HIGHEST_ORDER,
 ) -> xr.Dataset:
-    """Stable poles of the channels (sensor, time) by covariance-driven subspace identification.
+    """Poles of channels by covariance-driven subspace identification of pyOMA2, which must be installed.
+
+    Draw them with `plots.stabilisation`, beside modes of `identify_modes`.
 
     Parameters
     ----------
-    excitation : DataArray (input, time) or names of channels, optional
-        What is known of forces or of the base; the others are white.
-    lowest : float or None
-        Frequency of the lowest mode [Hz], of which the blocks hold half a period.
+    channels : DataArray (sensor, time)
+        As `read_channels` returns them, without gaps.
+    excitation : DataArray (input, time), or names of channels, optional
+        Forces, or motions of the base, that were measured; what else acts is white.
+    lowest : float, optional
+        Frequency of the lowest mode [Hz]: correlations are taken over half its period, and over 20 samples
+        at least.
     order : int
-        Highest order of the models.
+        Highest order of the models; each mode takes two.
 
     Returns
     -------
@@ -55,9 +65,14 @@ def subspace_poles(
     ------
     ImportError
         If pyOMA2 is not installed.
+    ValueError, TypeError
+        If an argument is out of range, or the excitation is no channel.
     """
+    check_integer(order, "order", least=2)
+    if lowest is not None:
+        check_positive(lowest, "lowest")
     if not is_installed():
-        raise ImportError("Stabilisation diagrams need pyOMA2: pip install pyOMA_2.")
+        raise ImportError("`subspace_poles` needs pyOMA2: pip install pyOMA_2.")
     from pyoma2.algorithms import SSI
     from pyoma2.setup import SingleSetup
 
@@ -84,7 +99,11 @@ def subspace_poles(
     }
     shape = ("pole", "sensor"), found.Phi_poles[place]
     coords = {"sensor": channels["sensor"].values}
-    return xr.Dataset({name: ("pole", row) for name, row in poles.items()} | {"shape": shape}, coords)
+    return xr.Dataset(
+        {name: ("pole", row) for name, row in poles.items()} | {"shape": shape},
+        coords,
+        {"highest_frequency": 0.5 * rate},
+    )
 
 
 def second_opinion(modes: ModalData, poles: xr.Dataset) -> xr.Dataset:
@@ -119,7 +138,7 @@ def second_opinion(modes: ModalData, poles: xr.Dataset) -> xr.Dataset:
 
 def opinion_on(modes: ModalData, channels: xr.DataArray, excitation=None) -> Iterator[str]:
     """A line for each mode, with both identifications."""
-    poles = subspace_poles(channels, excitation, lowest=modes.frequencies.min(), order=HIGHEST_ORDER)
+    poles = subspace_poles(channels, excitation, lowest=modes.frequencies.min())
     opinion = second_opinion(modes, poles)
     for r, f in enumerate(modes.frequencies):
         other = {name: float(value) for name, value in opinion.isel(mode=r).items()}

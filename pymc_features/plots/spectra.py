@@ -4,8 +4,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from pymc_features._checks import as_numbers, check_finite, check_integer, message, shown
-from pymc_features.ambient.subspace import subspace_poles
+from pymc_features._checks import as_numbers, check_finite, message, shown
 from pymc_features.modal.data import ModalData
 from pymc_features.plots.axes import AxesLike, check_dataset, checked_axes, figure
 from pymc_features.signals import sampling_step
@@ -67,43 +66,23 @@ def singular_values(
 
 
 @figure("One", "array of one matplotlib Axes")
-def stabilisation(
-    channels: xr.DataArray,
-    modes: ModalData | None = None,
-    *,
-    excitation: xr.DataArray | str | list[str] | None = None,
-    highest_order: int = 40,
-    axes: AxesLike = None,
-) -> np.ndarray:
-    """Stabilisation diagram: poles of state-space models of rising order, by pyOMA2.
+def stabilisation(poles: xr.Dataset, modes: ModalData | None = None, *, axes: AxesLike = None) -> np.ndarray:
+    """Stabilisation diagram: poles of state-space models of rising order.
 
     Poles that stay where they are as the order rises, in frequency (5 %), damping (10 %) and shape (MAC
     0.95), are drawn large, with two standard deviations to both sides; identified modes are vertical bands
-    of the same width. pyOMA2 must be installed (`pip install pyOMA_2`).
+    of the same width.
 
     Parameters
     ----------
-    channels : DataArray (sensor, time)
-        As `read_channels` returns them, without gaps.
+    poles : Dataset
+        What `ambient.subspace_poles` returned.
     modes : modal.ModalData, optional
-        To compare with, such as `identify_modes` returned. The lowest decides how long correlations are.
-    excitation : DataArray (input, time), or names of channels, optional
-        Forces, or motions of the base, that were measured.
-    highest_order : int
-        Of the models; each mode takes two.
-
-    Raises
-    ------
-    ImportError
-        If pyOMA2 is not installed.
+        To compare with, such as `identify_modes` returned.
     """
-    check_integer(highest_order, "highest_order", least=2)
-    lowest = None
-    if modes is not None:
-        if not isinstance(modes, ModalData):
-            raise TypeError(message("modes", "`modal.ModalData`", shown(modes)))
-        lowest = modes.frequencies.min()
-    poles = subspace_poles(channels, excitation, lowest=lowest, order=highest_order)
+    check_dataset(poles, "poles", "what `ambient.subspace_poles` returned", "order", "frequency", "is_stable")
+    if modes is not None and not isinstance(modes, ModalData):
+        raise TypeError(message("modes", "`modal.ModalData`", shown(modes)))
     [ax] = axes = checked_axes(axes, figsize=(9.0, 4.5))
     stable = poles["is_stable"].values
     f, order, sd = (poles[name].values for name in ("frequency", "order", "frequency_sd"))
@@ -111,10 +90,11 @@ def stabilisation(
     bars = {"color": "C0", "ms": 4.0, "elinewidth": 0.8, "label": "stable poles"}
     ax.errorbar(f[stable], order[stable], xerr=2.0 * np.nan_to_num(sd[stable]), fmt="o", **bars)
     if modes is not None:
-        for mode, width in zip(modes.frequencies, 2.0 * modes.frequency_sd, strict=True):
+        widths = np.zeros(len(modes)) if modes.frequency_sd is None else 2.0 * modes.frequency_sd
+        for mode, width in zip(modes.frequencies, widths, strict=True):
             ax.axvspan(mode - width, mode + width, color="C1", alpha=0.5, lw=1.0, zorder=0)
-    ax.set(xlabel="frequency [Hz]", ylabel="order of the model", ylim=(0, highest_order + 1))
-    ax.set_xlim(0.0, 0.5 / sampling_step(channels))
+    ax.set(xlabel="frequency [Hz]", ylabel="order of the model", ylim=(0, order.max(initial=1) + 1))
+    ax.set_xlim(0.0, poles.attrs["highest_frequency"])
     ax.legend(loc="upper right", fontsize="small")
     return axes
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import pymc_features as pmf
 from benchmarks.coverage.known_input import BANDS, earthquake
@@ -37,7 +38,8 @@ def test_diagram(shaken):
     """Stable poles stand on the bands of the modes, at every order above some."""
     pytest.importorskip("pyoma2")
     floors, base, modes = shaken
-    [ax] = pmf.plots.stabilisation(floors, modes, excitation=base, highest_order=20)
+    poles = pmf.ambient.subspace_poles(floors, base, lowest=modes.frequencies[0], order=20)
+    [ax] = pmf.plots.stabilisation(poles, modes)
     stable = ax.containers[0].lines[0]
     f, order = stable.get_data()
     for mode in modes.frequencies:
@@ -49,11 +51,13 @@ def test_diagram(shaken):
 
 def test_what_is_refused(shaken, monkeypatch):
     """Modes of another kind; pyOMA2 that is missing."""
-    floors, _, modes = shaken
+    floors, _, _ = shaken
     with pytest.raises(TypeError, match=r"`modes` must be `modal.ModalData`, got"):
-        pmf.plots.stabilisation(floors, modes.frequencies)
-    with pytest.raises(ValueError, match="`highest_order` must be"):
-        pmf.plots.stabilisation(floors, modes, highest_order=1)
+        pmf.plots.stabilisation(xr.Dataset(dict.fromkeys(["order", "frequency", "is_stable"], 1.0)), [1.0])
+    with pytest.raises(ValueError, match="`order` must be"):
+        pmf.ambient.subspace_poles(floors, order=1)
+    with pytest.raises(ValueError, match="`lowest` must be"):
+        pmf.ambient.subspace_poles(floors, lowest=0.0)
     monkeypatch.setattr(subspace, "find_spec", lambda name: None)
-    with pytest.raises(ImportError, match=r"need pyOMA2: pip install pyOMA_2\."):
-        pmf.plots.stabilisation(floors, modes)
+    with pytest.raises(ImportError, match=r"needs pyOMA2: pip install pyOMA_2\."):
+        pmf.ambient.subspace_poles(floors)
