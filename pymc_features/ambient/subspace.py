@@ -82,6 +82,7 @@ def subspace_poles(
         known = {"method": "IOcov", "U": whole_values(excitation).T}
     values, rate = whole_values(channels), 1.0 / sampling_step(channels)
     blocks = int(np.clip(np.ceil(0.5 * rate / (lowest or rate)), *BLOCKS))
+    blocks = max(blocks, -(-order // len(values)) + 1)  # else there are more poles than equations
     logging.getLogger("pyoma2").setLevel(logging.WARNING)
     with redirect_stderr(StringIO()):  # bars of its own
         setup = SingleSetup((values - values.mean(axis=1, keepdims=True)).T, fs=rate)
@@ -138,7 +139,11 @@ def second_opinion(modes: ModalData, poles: xr.Dataset) -> xr.Dataset:
 
 def opinion_on(modes: ModalData, channels: xr.DataArray, excitation=None) -> Iterator[str]:
     """A line for each mode, with both identifications."""
-    poles = subspace_poles(channels, excitation, lowest=modes.frequencies.min())
+    try:
+        poles = subspace_poles(channels, excitation, lowest=modes.frequencies.min())
+    except (ValueError, IndexError) as error:  # a short record, say: the modes are no worse for it
+        yield f"subspace identification (pyOMA2) was not possible: {error}"
+        return
     opinion = second_opinion(modes, poles)
     for r, f in enumerate(modes.frequencies):
         other = {name: float(value) for name, value in opinion.isel(mode=r).items()}
