@@ -80,12 +80,13 @@ def stabilisation(poles: xr.Dataset, modes: ModalData | None = None, *, axes: Ax
     modes : modal.ModalData, optional
         To compare with, such as `identify_modes` returned.
     """
-    check_dataset(poles, "poles", "what `ambient.subspace_poles` returned", "order", "frequency", "is_stable")
+    names = "order", "frequency", "frequency_sd", "is_stable"
+    check_dataset(poles, "poles", "what `ambient.subspace_poles` returned", *names)
     if modes is not None and not isinstance(modes, ModalData):
         raise TypeError(message("modes", "`modal.ModalData`", shown(modes)))
     [ax] = axes = checked_axes(axes, figsize=(9.0, 4.5))
     stable = poles["is_stable"].values
-    f, order, sd = (poles[name].values for name in ("frequency", "order", "frequency_sd"))
+    order, f, sd = (poles[name].values for name in names[:3])
     ax.plot(f[~stable], order[~stable], ".", color="0.7", ms=3.0, label="other poles")
     bars = {"color": "C0", "ms": 4.0, "elinewidth": 0.8, "label": "stable poles"}
     ax.errorbar(f[stable], order[stable], xerr=2.0 * np.nan_to_num(sd[stable]), fmt="o", **bars)

@@ -53,7 +53,10 @@ def test_what_is_refused(shaken, monkeypatch):
     """Modes of another kind; pyOMA2 that is missing."""
     floors, _, _ = shaken
     with pytest.raises(TypeError, match=r"`modes` must be `modal.ModalData`, got"):
-        pmf.plots.stabilisation(xr.Dataset(dict.fromkeys(["order", "frequency", "is_stable"], 1.0)), [1.0])
+        names = ["order", "frequency", "frequency_sd", "is_stable"]
+        pmf.plots.stabilisation(xr.Dataset(dict.fromkeys(names, 1.0)), [1.0])
+    with pytest.raises(TypeError, match="`poles` must be a Dataset"):
+        pmf.plots.stabilisation(floors)
     with pytest.raises(ValueError, match="`order` must be"):
         pmf.ambient.subspace_poles(floors, order=1)
     with pytest.raises(ValueError, match="`lowest` must be"):
