@@ -4,6 +4,7 @@ import ast
 import os
 import shutil
 import site
+import subprocess
 import sys
 import tarfile
 import tomllib
@@ -30,6 +31,12 @@ DATA = {
     *(f"pymc_features/update/templates/{name}" for name in ("report.js", "shapes.js")),
     "pymc_features/update/templates/shaking_table.toml",
 }
+
+#: What users have beside the package, in one environment.
+NEIGHBOURS = (
+    *("bambi", "blackjax", "npTDMS", "numpyro", "nutpie", "obspy", "openseespy", "pymc-extras"),
+    *("pymc-marketing", "pyOMA_2", "pyuff", "pyyeti"),
+)
 
 # keys of the Citation File Format 1.2.0, and which of them must be there
 CITATION_REQUIRED = {"cff-version", "message", "title", "authors"}
@@ -159,6 +166,26 @@ def test_installed_wheel_works(installed, tmp_path):
         ast.literal_eval(templates)
     )
     assert "reproduce" in run(command, "--help", cwd=tmp_path, env=environment)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("version", ["3.12", "3.13"])
+def test_neighbours_have_one_environment_with_the_package(version, tmp_path):
+    """None of them asks for what the package, or another of them, cannot have."""
+    uv = os.environ.get("UV") or shutil.which("uv")
+    if uv is None:
+        pytest.skip("there is no uv to resolve versions")
+    asked = tmp_path / "asked.txt"
+    asked.write_text("\n".join([*NEIGHBOURS, str(ROOT)]))
+    command = uv, "pip", "compile", "--quiet", "--python-version", version, str(asked)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    if "error sending request" in done.stderr or "dns error" in done.stderr:
+        pytest.skip("the package index cannot be reached")
+    assert done.returncode == 0, done.stderr
+    found = {
+        line.partition("==")[0].lower().replace("_", "-") for line in done.stdout.splitlines() if "==" in line
+    }
+    assert {name.lower().replace("_", "-") for name in NEIGHBOURS} <= found
 
 
 def test_citation_is_valid_and_of_this_version():

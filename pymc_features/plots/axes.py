@@ -25,10 +25,10 @@ Returns
 {returns}"""
 
 
-def figure(each: str, returns: str = "array of matplotlib Axes") -> Callable:
+def figure[F: Callable](each: str, returns: str = "array of matplotlib Axes") -> Callable[[F], F]:
     """Complete the docstring of a function that draws: its `axes`, one for `each`, and what it returns."""
 
-    def completed(draw):
+    def completed(draw: F) -> F:
         text, *more = cleandoc(draw.__doc__).split("\n\nSee Also")
         draw.__doc__ = "\n\nSee Also".join([text + OF_ALL.format(each=each, returns=returns), *more])
         return draw
