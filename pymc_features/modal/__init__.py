@@ -2,15 +2,6 @@
 
 from pymc_features.lazy import lazily
 
-TYPE_CHECKING = False  # that of `typing`
-if TYPE_CHECKING:
-    from pymc_features.modal.data import ModalData, mac  # noqa: F401
-    from pymc_features.modal.feature import ModalFeature, match_modes  # noqa: F401
-    from pymc_features.modal.files import read_modal, write_modal  # noqa: F401
-    from pymc_features.modal.frequency_response import FrequencyResponse  # noqa: F401
-    from pymc_features.modal.merge import merge_setups  # noqa: F401
-    from pymc_features.modal.structural_modes import SymbolicModes, modes  # noqa: F401
-
 # files of modes are read without PyMC
 PLACES = {
     "FrequencyResponse": "frequency_response",

@@ -9,13 +9,6 @@ The command `pymc-features update` does the same.
 
 from pymc_features.lazy import lazily
 
-TYPE_CHECKING = False  # that of `typing`
-if TYPE_CHECKING:
-    from pymc_features.update.examples import write_example  # noqa: F401
-    from pymc_features.update.problem import Problem, read_config, read_problem  # noqa: F401
-    from pymc_features.update.report.outputs import write_outputs  # noqa: F401
-    from pymc_features.update.run import run_update  # noqa: F401
-
 # keys are checked, and reports are made, without PyMC
 PLACES = {
     "Problem": "problem",
