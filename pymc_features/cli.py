@@ -31,6 +31,7 @@ NEEDED = {
     "check": "pymc_features.update.problem",
     "init": "pymc_features.update.examples",
     "convert": "pymc_features.io",
+    "warm-up": "pymc_features.warm_up",
 }
 
 
@@ -65,9 +66,9 @@ def main(arguments=None) -> int:
             logging.getLogger("pymc").setLevel(logging.WARNING)  # which its import sets
             started()
             options.alive.now(options.command)
-            logging.getLogger("pymc_features").addHandler(Told(console))
+            logging.getLogger("pymc_features").handlers = [Told(console)]
             logging.getLogger("pymc_features").setLevel(logging.INFO)
-            return globals()[options.command](options, console) or 0
+            return globals()[options.command.replace("-", "_")](options, console) or 0
     except KeyboardInterrupt:
         out = getattr(options, "out", None)
         kept = f": finished parts are kept in {out}; the same command continues" if out else ""
@@ -239,6 +240,13 @@ def add_update(command, shtab) -> None:
     add("--units", help="of channels, if the file is silent: g, m/s^2, gal, or m/s^2 per unit")
     add("--dt", type=float, metavar="S", help="step of the channels [s], if the file is silent")
     add("--force", action="store_true", help="replace OUT if it is there")
+
+    command(
+        "warm-up",
+        "compile ahead what most models need",
+        "Samples a small model of each family of structures, so that the first model of yours need not wait: "
+        "two minutes, once for a machine and a version. What is compiled is kept on disk.",
+    )
 
 
 def where(text: str) -> int | str:
@@ -467,6 +475,14 @@ def convert(options, console):
     write_channels(channels, target)
     names = ", ".join(channels["sensor"].values.tolist())
     say(console, f"wrote {names}, {channels.sizes['time']} samples in {channels.attrs['units']}, to {target}")
+
+
+def warm_up(options, console):
+    """Compile ahead what most models need."""
+    from pymc_features.warm_up import warm_up
+
+    with PartProgress(console, "compiling", options.alive) as progress:
+        warm_up(progress)
 
 
 def strong_part(record, seconds: float):

@@ -1,5 +1,7 @@
 """Every public name: what most models take, and the submodules with the rest."""
 
+import logging
+
 from pymc_features import (
     ambient,
     calibration,
@@ -56,6 +58,10 @@ from pymc_features.structures import (
     SpringMassChain,
 )
 from pymc_features.study import paper
+
+if not logging.root.handlers:  # messages are shown as those of PyMC are
+    logging.getLogger("pymc_features").setLevel(logging.INFO)
+    logging.getLogger("pymc_features").addHandler(logging.StreamHandler())
 
 __all__ = [
     "AffineStructure",

@@ -13,9 +13,11 @@ function calls: code that is six calls deep is optimised six times. Here what a 
 LLVM's language only; it is optimised and becomes machine code once, in the kernel that Python calls.
 """
 
+import logging
 from pathlib import Path
 
 from numba import config, njit
+from numba.core import event
 from numba.core.caching import CacheImpl, _CacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
@@ -131,6 +133,26 @@ class KernelCacheLocator(_CacheLocator):
 
 
 CacheImpl._locator_classes.insert(0, KernelCacheLocator)
+
+
+class FirstUse(event.Listener):
+    """Says once in a process that kernels are compiled, and that the next process need not."""
+
+    is_told = False
+
+    def on_start(self, event):
+        if isinstance(event.data["dispatcher"], Kernel) and not self.is_told:
+            self.is_told = True
+            logging.getLogger("pymc_features").info(
+                "Compiling for this machine, once: the first model of a kind takes 5 to 30 s longer. "
+                "`pymc-features warm-up` compiles ahead."
+            )
+
+    def on_end(self, event):
+        pass
+
+
+event.register("numba:compile", FirstUse())
 
 
 def jit(function):
