@@ -14,6 +14,11 @@ def blocks(path: Path, kind: str) -> list[str]:
     return re.findall(rf"^```{kind}\n(.*?)^```", path.read_text(), flags=re.DOTALL | re.MULTILINE)
 
 
+def sections(path: Path) -> list[tuple[str, str]]:
+    """Kind and content of all blocks of code of a page, in their order."""
+    return re.findall(r"^```([^{\n][^\n]*)\n(.*?)^```", path.read_text(), flags=re.DOTALL | re.MULTILINE)
+
+
 def script(path: Path, kind: str = "python") -> str:
     """The blocks of a page as one script, with fewer draws, chains and processes."""
     code = "\n".join(blocks(path, kind))
