@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import re
+import shlex
 import sys
 
 import pytest
@@ -54,6 +55,33 @@ def test_files_that_the_readme_names_exist():
     named = re.findall(r"\]\((?!http)([^)#]+)\)", README.read_text())
     assert "docs/figure.svg" in named
     assert [path for path in named if not (ROOT / path).exists()] == []
+
+
+def parts_of_benchmarks() -> dict[str, tuple[str, ...]]:
+    """Sections of `python -m benchmarks`, and the names that `--names` may have in some."""
+    from benchmarks import coverage, events
+    from benchmarks.__main__ import LONG, SECTIONS
+
+    return dict.fromkeys(SECTIONS + LONG, ()) | {"coverage": coverage.NAMES, "events": tuple(events.PARTS)}
+
+
+def test_benchmarks_and_tests_that_the_pages_name_exist():
+    """So that each number beside such a name can be measured again."""
+    parts, n_found = parts_of_benchmarks(), 0
+    for path in (README, *PAGES):
+        text = " ".join(path.read_text().split())
+        for file in re.findall(r"`(tests/[^`]*)`", text):
+            assert (ROOT / file).exists(), f"{path.name}: there is no {file}"
+        for module, line in re.findall(r"python -m (benchmarks(?:\.\w+)?)([^`]*)`", text):
+            words = shlex.split(line)
+            assert (ROOT / f"{module.replace('.', '/')}.py").exists() or module == "benchmarks"
+            section = words[words.index("--only") + 1] if "--only" in words else "evaluation"
+            assert section in parts, f"{path.name}: benchmarks has no section {section}"
+            if "--names" in words:
+                name = words[words.index("--names") + 1]
+                assert name in parts[section], f"{path.name}: {section} has no part {name}"
+                n_found += 1
+    assert n_found >= 20
 
 
 def test_tables_of_the_readme_are_those_of_the_catalogues():
