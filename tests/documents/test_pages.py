@@ -6,6 +6,8 @@ import re
 import shlex
 import sys
 
+import numpy as np
+import pymc as pm
 import pytest
 
 import pymc_features
@@ -37,6 +39,16 @@ def test_code_of_readme_and_pages_runs():
         "for name, page in pages.items(): exec(compile(page, name, 'exec'), dict(readme))"
     )
     run(sys.executable, "-c", code, input=json.dumps(pages))
+
+
+@pytest.mark.slow
+@pytest.mark.default_mode
+@pytest.mark.filterwarnings("ignore")
+def test_nuts_splits_its_chains_where_sample_does_not():
+    """As the page on sampling says, which needs the speed of compiled graphs."""
+    pytest.importorskip("nutpie")
+    code = "\n".join(blocks(ROOT / "docs" / "sampling.md", "python alone"))
+    exec(code.replace("chains=2", "chains=2, cores=1, progressbar=False"), {"np": np, "pm": pm, "pmf": pymc_features})
 
 
 def test_ci_calls_the_command_of_the_readme():
