@@ -48,7 +48,10 @@ def test_nuts_splits_its_chains_where_sample_does_not():
     """As the page on sampling says, which needs the speed of compiled graphs."""
     pytest.importorskip("nutpie")
     code = "\n".join(blocks(ROOT / "docs" / "sampling.md", "python alone"))
-    exec(code.replace("chains=2", "chains=2, cores=1, progressbar=False"), {"np": np, "pm": pm, "pmf": pymc_features})
+    exec(
+        code.replace("chains=2", "chains=2, cores=1, progressbar=False"),
+        {"np": np, "pm": pm, "pmf": pymc_features},
+    )
 
 
 def test_ci_calls_the_command_of_the_readme():
@@ -111,3 +114,15 @@ def test_the_figure_can_be_drawn_anew(tmp_path):
     from_docs("figure").write(tmp_path / "figure.svg", record, multipliers=(0.5, 1.0, 2.0))
     assert (tmp_path / "figure.svg").read_text().startswith("<?xml")
     assert (ROOT / "docs" / "figure.svg").stat().st_size < 200_000
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_pictures_of_the_gallery_can_be_drawn(tmp_path):
+    """Three of them: of data, of a structure, and of a posterior; all are drawn when the pages are built."""
+    gallery = from_docs("gallery")
+    assert len(gallery.PICTURES) >= 20
+    for file in gallery.draw(tmp_path, ["channels", "mac", "forest"]):
+        assert file.stat().st_size > 5_000
+        assert f"{file.stem}.png" in gallery.entry(file.stem)
+    assert "azp.plot_forest(example.idata" in gallery.entry("forest")
