@@ -12,6 +12,7 @@ author = "The pymc_features authors"
 extensions = [
     "myst_parser",
     "numpydoc",
+    "gallery",
     "notebook_list",
     "public_names",
     "sphinx.ext.autodoc",

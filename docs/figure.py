@@ -1,4 +1,4 @@
-"""The figure of the README: `python docs/figure.py` writes docs/figure.svg.
+"""The figure of intervals.md: `python docs/figure.py` writes docs/figure.svg.
 
 Exact posteriors of the stiffness factor, by quadrature, of one history read at seven sampling steps. The
 record is El Centro 1940; the test draws it from a short synthetic one.

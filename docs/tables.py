@@ -1,4 +1,4 @@
-"""The tables of the README and of channels.md, and the schema of update.toml: `python docs/tables.py`.
+"""The tables of catalogue.md and of channels.md, and the schema of update.toml: `python docs/tables.py`.
 
 A row is a member of a catalogue, its file, and the first sentence of its docstring; or a format of files, how
 they are called, and what they state.
@@ -52,7 +52,7 @@ def table(name: str) -> str:
     heading, members = TABLES[name]
     rows = [f"| {heading} | what it is |", "|---|---|"]
     for member in members:
-        path = "/".join(member.__module__.split(".")) + ".py"
+        path = "../" + "/".join(member.__module__.split(".")) + ".py"
         rows.append(f"| [`{called(member)}`]({path}) | {first_sentence(member)} |")
     return "\n".join(rows) + "\n"
 
@@ -74,7 +74,7 @@ def replaced(text: str, name: str, rows: str) -> str:
 
 
 def with_tables(text: str) -> str:
-    """The README with every table written anew."""
+    """catalogue.md with every table written anew."""
     for name in TABLES:
         text = replaced(text, name, table(name))
     return text
@@ -93,5 +93,6 @@ def schema() -> str:
 
 if __name__ == "__main__":
     SCHEMA.write_text(schema())
-    for page, write in ((ROOT / "README.md", with_tables), (ROOT / "docs" / "channels.md", with_formats)):
+    for name, write in (("catalogue.md", with_tables), ("channels.md", with_formats)):
+        page = ROOT / "docs" / name
         page.write_text(write(page.read_text()))

@@ -73,6 +73,15 @@ def test_example_of_the_page():
     assert 0.0 < abs(up).max() < 0.1 * abs(left).max()
 
 
+def test_the_page_for_those_who_know_opensees():
+    """What it asserts holds, of another record than on the page."""
+    (code,) = blocks(ROOT / "docs" / "coming_from.md", "python needs=openseespy")
+    exec(
+        code.replace("chains=2", "chains=1, cores=1, progressbar=False"),
+        {"pmf": pmf, "pm": pm, "np": np, "record": shaking()},
+    )
+
+
 def test_two_directions_are_two_supports():
     structure = frame(direction=("x", "y"))
     assert structure.n_supports == 2
