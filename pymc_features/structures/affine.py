@@ -67,7 +67,7 @@ class AffineStructure(LinearStructure):
 
     parameter_names: tuple[str, ...] | None = None
     inputs = LinearStructure.inputs | {
-        "theta": vector("-", required=True),
+        "theta": vector("-")._replace(required=True),
         "stiffness_terms": MATRICES,
         "mass_terms": MATRICES,
         "damping_terms": MATRICES,

@@ -1,7 +1,7 @@
 """Classical damping: Rayleigh, Eq. (19), or a ratio for each mode."""
 
 from abc import ABC, abstractmethod
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 import pytensor.tensor as pt
@@ -14,15 +14,16 @@ from pymc_features.structures.base import (
     Described,
     Values,
     as_vector,
+    check_length,
+    described,
     holds_variables,
     scalar,
     spread,
-    static_length,
     unpacked,
     vector,
 )
 
-RATIO = "fractions of critical damping"
+RATIO = "Pass values in fractions of critical damping."
 
 
 class Damping(Described, ABC):
@@ -33,6 +34,7 @@ class Damping(Described, ABC):
         """Return the Rayleigh pair (2,) [1/s, s] and the added modal ratios (n,) [-]."""
 
 
+@described
 class RayleighDamping(Damping):
     """Rayleigh damping C = alpha M + beta K, Eq. (19).
 
@@ -50,10 +52,8 @@ class RayleighDamping(Damping):
     0.201062 0.001273
     """
 
-    inputs = {"alpha": scalar("1/s", NOT_NEGATIVE), "beta": scalar("s", NOT_NEGATIVE)}
-
-    def __init__(self, alpha: float | Variable, beta: float | Variable):
-        self.take(alpha=alpha, beta=beta)
+    alpha: Annotated[float | Variable, scalar("1/s", NOT_NEGATIVE)]
+    beta: Annotated[float | Variable, scalar("s", NOT_NEGATIVE)]
 
     def __repr__(self):
         return f"RayleighDamping(alpha={self.alpha}, beta={self.beta})"
@@ -112,6 +112,7 @@ class RayleighDamping(Damping):
         return pair, np.zeros(n)
 
 
+@described
 class ModalDamping(Damping):
     """A damping ratio for each mode.
 
@@ -121,16 +122,11 @@ class ModalDamping(Damping):
         zeta_r [-], not negative, in ascending order of frequency; one value stands for all modes.
     """
 
-    inputs = {"ratios": vector("-", NOT_NEGATIVE, RATIO)}
-
-    def __init__(self, ratios: Values):
-        self.take(ratios=ratios)
+    ratios: Annotated[Values, vector("-", NOT_NEGATIVE, RATIO)]
 
     def __repr__(self):
         return f"ModalDamping({self.ratios})"
 
     def coefficients(self, n: int) -> tuple:
-        length = static_length(self.ratios)
-        if length not in (None, n):
-            raise ValueError(f"`ratios` must have one value or one for each of the {n} modes, got {length}.")
+        check_length(self.ratios, "ratios", n, "modes")
         return np.zeros(2), spread(self.ratios, n)
