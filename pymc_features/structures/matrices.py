@@ -22,6 +22,7 @@ from pymc_features.algebra import (
 
 type MatrixLike = ArrayLike | sparse.sparray | sparse.spmatrix
 
+UNITS = {"mass": "kg", "damping": "N s/m", "stiffness": "N/m"}
 SYMMETRY = 1e-10  # largest difference between A and A' over the largest entry that counts as rounding
 PROPORTIONAL = 1e-10  # the same, between damping and a multiple of the stiffness
 LOST = 1e-13  # of the largest stiffness over mass: eigenvalues below were wrong by 0.3 %, all below 1e-15
