@@ -66,7 +66,7 @@ def main(arguments=None) -> int:
             logging.getLogger("pymc").setLevel(logging.WARNING)  # which its import sets
             started()
             options.alive.now(options.command)
-            logging.getLogger("pymc_features").addHandler(Told(console))
+            logging.getLogger("pymc_features").addHandler(console_handler(console))
             logging.getLogger("pymc_features").setLevel(logging.INFO)
             return globals()[options.command](options, console) or 0
     except KeyboardInterrupt:
@@ -81,16 +81,11 @@ def main(arguments=None) -> int:
         return EXIT_BAD_INPUT
 
 
-class Told(logging.Handler):
-    """What is logged, as a sentence on the console."""
-
-    def __init__(self, console):
-        super().__init__()
-        self.console = console
-
-    def emit(self, record):
-        """Say it."""
-        say(self.console, record.getMessage())
+def console_handler(console) -> logging.Handler:
+    """What says on the console whatever is logged, as a sentence."""
+    handler = logging.Handler()
+    handler.emit = lambda record: say(console, record.getMessage())
+    return handler
 
 
 def say(console, sentence, style=None):

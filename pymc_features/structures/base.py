@@ -98,8 +98,9 @@ def vector(unit: str, condition: Condition = POSITIVE, advice: str = "") -> Inpu
 
 MATRIX = Input(Kind.MATRIX)
 MATRICES = Input(Kind.MATRICES)
-DAMPING = Input(Kind.DAMPING, advice="Pass RayleighDamping(alpha, beta) or ModalDamping(ratios).")
-DAMPING_OR_MATRIX = Input(Kind.DAMPING_OR_MATRIX)
+KINDS_OF_DAMPING = "RayleighDamping(alpha, beta) or ModalDamping(ratios)."
+DAMPING = Input(Kind.DAMPING, advice=f"Pass {KINDS_OF_DAMPING}")
+DAMPING_OR_MATRIX = Input(Kind.DAMPING_OR_MATRIX, advice=f"Pass C in N s/m, {KINDS_OF_DAMPING}")
 
 
 class Described:

@@ -8,7 +8,7 @@ import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 from pytensor.graph.basic import Variable
 
-from pymc_features._checks import as_numbers, shown
+from pymc_features._checks import message, shown
 from pymc_features.structures.base import (
     NOT_NEGATIVE,
     Described,
@@ -84,13 +84,11 @@ class RayleighDamping(Damping):
                 "ratio zeta pass RayleighDamping(zeta * unit.alpha, zeta * unit.beta), with "
                 "unit = RayleighDamping.from_ratios(1.0, natural_frequencies)."
             )
-        frequencies = as_numbers(natural_frequencies, "natural_frequencies", "Pass two frequencies in Hz.")
-        legal = frequencies.shape == (2,) and np.isfinite(frequencies).all() and (frequencies > 0).all()
-        if not legal or np.ptp(frequencies) == 0:
-            raise ValueError(
-                f"`natural_frequencies` must be two different positive values, got "
-                f"{shown(natural_frequencies)}. Pass the two frequencies in Hz."
-            )
+        advice = "Pass two frequencies in Hz."
+        frequencies = as_vector(natural_frequencies, "natural_frequencies", advice)
+        if frequencies.shape != (2,) or np.ptp(frequencies) == 0:
+            got = shown(natural_frequencies)
+            raise ValueError(message("natural_frequencies", "two different positive values", got, advice))
         zeta = as_vector(ratios, "ratios", RATIO, NOT_NEGATIVE)
         if zeta.shape not in ((), (1,), (2,)):
             raise ValueError(f"`ratios` must be one value or one for each frequency, got {zeta.size}.")

@@ -169,10 +169,8 @@ class LinearStructure(Structure):
         self.damping = damping
         if not isinstance(damping, Damping):
             if isinstance(damping, Variable | str) or damping is None or callable(damping):
-                raise TypeError(
-                    f"`damping` must be a matrix or a Damping, got {type(damping).__name__}. "
-                    "Pass C in N s/m, RayleighDamping(alpha, beta) or ModalDamping(ratios)."
-                )
+                got, advice = type(damping).__name__, DAMPING_OR_MATRIX.advice
+                raise TypeError(message("damping", "a matrix or a Damping", got, advice))
             constants[1] = as_matrix(damping, "damping", "N s/m", n=n, symmetric=False)
         kind, pattern = to_dense, None
         if sparse.issparse(stiffness):

@@ -18,6 +18,7 @@ from pymc_features.algebra import (
     shifted_factor,
     softest_motion,
     spectral_shift,
+    to_dense,
 )
 
 type MatrixLike = ArrayLike | sparse.sparray | sparse.spmatrix
@@ -89,9 +90,7 @@ def _symmetrised(matrix, name):
 
 def as_influence(value, n: int) -> np.ndarray:
     """Return displacements (n,) or (n, supports) under unit displacements of the supports, checked."""
-    if value is None:
-        value = np.ones(n)
-    value = value.toarray() if sparse.issparse(value) else value
+    value = np.ones(n) if value is None else to_dense(value)
     influence = as_numbers(value, "influence", "Pass displacement ratios [-]; they cannot be random.")
     if influence.ndim not in (1, 2) or influence.shape[0] != n or influence.size == 0:
         raise ValueError(

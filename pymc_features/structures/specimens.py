@@ -23,6 +23,7 @@ from pymc_features.structures.base import (
     is_numeric,
     scalar,
 )
+from pymc_features.structures.chains import SHARPNESS
 
 type Value = float | Variable
 
@@ -191,7 +192,7 @@ class HystereticSpecimen(Structure):
     _: KW_ONLY
     yield_displacement: Annotated[Value, scalar("m")]
     post_yield_ratio: Annotated[Value, scalar("-", SHARE, "Pass post-yield over initial stiffness.")]
-    sharpness: Annotated[Value, scalar("-", AT_LEAST_ONE, "Pass 1 to 3 for gradual yielding.")] = 2.0
+    sharpness: Annotated[Value, scalar("-", AT_LEAST_ONE, SHARPNESS)] = 2.0
     beta: Annotated[Value, scalar("-", POSITIVE, NUMERIC)] = 0.5
     gamma: Annotated[Value, scalar("-", FINITE, NUMERIC)] = 0.5
     degradation: Annotated[Degradation | None, Input(Kind.DEGRADATION, advice=LEFT_OUT)] = None
