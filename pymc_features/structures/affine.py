@@ -10,7 +10,7 @@ import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
-from pymc_features._checks import as_list, as_numbers, check_callable, check_texts, message
+from pymc_features._checks import as_list, as_numbers, check_texts, message
 from pymc_features.structures.base import MATRICES, NUMBERS, Values, as_variables, unpacked, vector
 from pymc_features.structures.damping import Damping
 from pymc_features.structures.linear import DofNames, LinearStructure
@@ -259,7 +259,7 @@ class AffineStructure(LinearStructure):
         OpenSees gives full matrices: for up to some thousand degrees of freedom. Frequencies are those of
         `eigen` to 1e-6, histories those of its integration to 0.1 % (tests/structures/test_opensees.py).
         """
-        model = OpenSeesModel(check_callable(build, "build", "Pass a function of the parameters."))
+        model = OpenSeesModel(build)
         structure = cls.from_matrices(model, parameters, damping=damping)
         if damping is None and not structure._terms[1].stack.any():
             raise ValueError(
