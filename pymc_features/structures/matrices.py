@@ -133,12 +133,14 @@ def check_static(stiffness, massless: Massless) -> None:
 
 def named(dofs) -> str:
     """The first of some degrees of freedom, in words."""
-    first = [str(i) for i in dofs[:FEW]]
-    if len(dofs) > FEW:
-        return f"degrees of freedom {', '.join(first)} and {len(dofs) - FEW} others"
-    if len(first) == 1:
-        return f"degree of freedom {first[0]}"
-    return f"degrees of freedom {', '.join(first[:-1])} and {first[-1]}"
+    shown = dofs if len(dofs) <= FEW else [*dofs[:FEW], f"{len(dofs) - FEW} others"]
+    return f"degree{'s' if len(dofs) > 1 else ''} of freedom {in_words(shown)}"
+
+
+def in_words(names) -> str:
+    """Names with commas and an "and"."""
+    *rest, last = map(str, names)
+    return f"{', '.join(rest)} and {last}" if rest else last
 
 
 def check_stiffness(mass, stiffness, massless: Massless):

@@ -30,7 +30,7 @@ from pymc_features._checks import (
 from pymc_features.io import read_matrices
 from pymc_features.io.reading.labels import system_of_units
 from pymc_features.structures.linear import DofNames
-from pymc_features.structures.matrices import UNITS
+from pymc_features.structures.matrices import UNITS, in_words
 
 ROUNDING = 1e-12  # share of an entry that counts as rounding of it
 AFFINE = 1e-9  # share of an entry by which it may miss the affine sum
@@ -234,12 +234,6 @@ def without_rounding(difference, size) -> sparse.csr_array:
     entries = sparse.csr_array(difference.multiply(abs(difference) > ROUNDING * size))
     entries.eliminate_zeros()
     return entries
-
-
-def in_words(names: Sequence[str]) -> str:
-    """Names in words."""
-    *rest, last = names
-    return f"{', '.join(rest)} and {last}" if rest else last
 
 
 # ---- of models in OpenSees ----
