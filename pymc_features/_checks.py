@@ -27,7 +27,7 @@ SAMPLING_INTERVAL = "Pass the sampling interval in seconds."
 LARGEST_COUNT = 10**9  # of draws, samples, rows: more fit into no memory
 #: What arrays hold that are no numbers, by NumPy's letters.
 CONTENTS = {"b": "booleans", "c": "complex numbers", "M": "dates", "m": "durations", "O": "objects"}
-CONTENTS |= dict.fromkeys("STU", "texts")
+CONTENTS |= {"S": "bytes", "T": "texts", "U": "texts", "V": "records"}
 
 
 # ---- messages ----

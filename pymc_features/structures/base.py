@@ -136,6 +136,8 @@ def described[T](cls: type[T]) -> type[T]:
     """Make a dataclass whose fields are annotated with what they may be, its `inputs`."""
     made = dataclass(eq=False, repr=False)(cls)
     made.inputs = {field.name: field.type.__metadata__[0] for field in fields(made)}
+    types = {field.name: field.type.__origin__ for field in fields(made)}
+    made.__init__.__annotations__ = types | {"return": None}  # so that help shows types alone
     return made
 
 
