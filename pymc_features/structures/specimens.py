@@ -236,7 +236,6 @@ class HystereticSpecimen(Structure):
 
     def excitation(self, record: DynamicLoad) -> np.ndarray:
         """Return the displacement (time,) [m]."""
-        self.check_load(record)
         return record.inputs[0]
 
     def matrices(self) -> NoReturn:
