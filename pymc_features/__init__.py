@@ -51,7 +51,9 @@ def __getattr__(name: str):
         if find_spec(f"{__name__}.{name}"):
             return import_module(f"{__name__}.{name}")
     public = import_module(f"{__name__}.public")
-    if name == "__all__" or name in public.__all__:
+    if name == "__all__":
+        return globals().setdefault(name, public._all)
+    if name in public._all:
         return globals().setdefault(name, getattr(public, name))
     return _of_a_submodule(public, name)
 
@@ -59,7 +61,7 @@ def __getattr__(name: str):
 def _of_a_submodule(public, name: str):
     """A name of a submodule, with a warning that says where it is: many stood here before."""
     short = {"plot_response_bands": "response"}.get(name, name.removeprefix("plot_"))
-    for place in ("plots",) if short != name else public.__all__:
+    for place in ("plots",) if short != name else public._all:
         module = getattr(public, place)
         if short in getattr(module, "__all__", ()):
             message = f"`pymc_features.{name}` is `pymc_features.{place}.{short}`, and will be only there."

@@ -26,17 +26,8 @@ _SHORT = Repr(maxlist=12, maxtuple=12, maxdict=6, maxlong=40, maxstring=LONGEST,
 SAMPLING_INTERVAL = "Pass the sampling interval in seconds."
 LARGEST_COUNT = 10**9  # of draws, samples, rows: more fit into no memory
 #: What arrays hold that are no numbers, by NumPy's letters.
-CONTENTS = {
-    "b": "booleans",
-    "c": "complex numbers",
-    "M": "dates",
-    "m": "durations",
-    "O": "objects",
-    "S": "bytes",
-    "T": "texts",
-    "U": "texts",
-    "V": "records",
-}
+CONTENTS = {"b": "booleans", "c": "complex numbers", "M": "dates", "m": "durations", "O": "objects"}
+CONTENTS |= {"S": "bytes", "T": "texts", "U": "texts", "V": "records"}
 
 
 # ---- messages ----
@@ -152,9 +143,8 @@ def check_share(value, name: str, advice: str = "") -> float:
 def check_integer(value, name: str, *, least: int = 1, most: int | None = None, advice: str = "") -> int:
     """A whole number within bounds, as an int; 2.0 counts as one."""
     number, largest = single(value), LARGEST_COUNT if most is None else most
-    inside = is_number(number) and least <= number <= largest and number % 1 == 0
-    if not inside:
-        is_large = most is None and is_number(number) and number > largest
+    if not (is_number(number) and least <= number <= largest and number % 1 == 0):
+        is_large = is_number(number) and number > largest
         bounds = f"of at least {least}" if most is None and not is_large else f"from {least} to {largest}"
         raise ValueError(message(name, f"an integer {bounds}", shown(value), advice))
     return int(number)

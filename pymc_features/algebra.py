@@ -141,11 +141,6 @@ def eliminate(matrix) -> SuperLU | None:
     return factor if np.array_equal(factor.perm_r, factor.perm_c) else None
 
 
-def is_definite(matrix) -> bool:
-    """Whether a symmetric matrix is positive definite to working precision."""
-    return definite_factor(matrix) is not None
-
-
 def definite_factor(matrix, floor: float = 0.0):
     """The factor of a positive definite matrix (`SuperLU` if sparse); None if it is not definite.
 
@@ -237,13 +232,10 @@ def massless_motions(mass) -> Massless | None:
     One factorisation of a definite M. Else rows of zeros are left aside, and of the others a small pivot of M
     with its diagonal raised by 1e-14 shows a row that depends on those before it, whatever the units.
     """
-    n, diagonal = mass.shape[0], mass.diagonal()
-    if (diagonal > 0.0).all() and definite_factor(mass, MASSLESS) is not None:
-        none = sparse.csc_array((n, 0)) if sparse.issparse(mass) else np.zeros((n, 0))
-        return Massless(np.zeros(0, dtype=np.int64), none)
-    empty, own = rows_of_zeros([mass])
-    if not own.size:
-        return null_space(mass, empty, own, np.zeros((0, 0)))
+    diagonal, (empty, own) = mass.diagonal(), rows_of_zeros([mass])
+    is_definite = (diagonal > 0.0).all() and definite_factor(mass, MASSLESS) is not None
+    if is_definite or not own.size:
+        return null_space(mass, empty, own)
     inner, scale = part(mass, own, own), diagonal[own]
     nudge = sparse.diags_array(1e-14 * scale) if sparse.issparse(mass) else np.diag(1e-14 * scale)
     factor = definite_factor(inner + nudge)
@@ -252,7 +244,7 @@ def massless_motions(mass) -> Massless | None:
     small = pivots(factor) <= MASSLESS * scale
     own, dependent, root = own[~small], own[small], np.sqrt(scale[small])
     if not dependent.size:
-        return null_space(mass, empty, own, np.zeros((own.size, 0)))
+        return null_space(mass, empty, own)
     factor, mixed = definite_factor(part(mass, own, own), MASSLESS), to_dense(part(mass, own, dependent))
     if factor is None:
         return None
@@ -263,11 +255,11 @@ def massless_motions(mass) -> Massless | None:
     return null_space(mass, np.concatenate([empty, dependent]), own, share)
 
 
-def null_space(mass, dofs, own, share) -> Massless:
-    """N with the identity at `dofs` (k,), and in its last columns minus the `share` (r, j) at `own`."""
-    columns, moved = np.arange(dofs.size), sparse.coo_array(share)
+def null_space(mass, dofs, own, share=None) -> Massless:
+    """N with the identity at `dofs` (k,); its last columns have minus a `share` (r, j) at `own`, if any."""
+    moved = sparse.coo_array((own.size, 0) if share is None else share)
     rows = np.concatenate([dofs, own[moved.coords[0]]])
-    columns = np.concatenate([columns, dofs.size - share.shape[1] + moved.coords[1]])
+    columns = np.concatenate([np.arange(dofs.size), dofs.size - moved.shape[1] + moved.coords[1]])
     entries = np.concatenate([np.ones(dofs.size), -moved.data])
     motions = sparse.csc_array((entries, (rows, columns)), shape=(mass.shape[0], dofs.size))
     return Massless(dofs, motions if sparse.issparse(mass) else motions.toarray())
@@ -289,7 +281,7 @@ def always_massless(masses) -> Massless:
     if found is not None and all(is_rest(mass, found.motions) for mass in masses):
         return found
     empty, own = rows_of_zeros(masses)
-    return null_space(masses[0], empty, own[:0], np.zeros((0, 0)))
+    return null_space(masses[0], empty, own)
 
 
 def is_rest(mass, motions) -> bool:

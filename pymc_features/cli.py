@@ -17,6 +17,7 @@ import pymc_features
 from pymc_features.progress import EXIT_INTERRUPTED, CtrlC, Heartbeat, PartProgress, started
 
 EXIT_BAD_INPUT, EXIT_UNEXPLAINED = 2, 3
+CONFIG = "configuration file, TOML"
 FORCE = "start anew: delete the finished parts in the output folder first"
 EXECUTOR = (
     "spread populations over this number of processes, or over the Dask cluster whose scheduler has this "
@@ -66,7 +67,7 @@ def main(arguments=None) -> int:
             logging.getLogger("pymc").setLevel(logging.WARNING)  # which its import sets
             started()
             options.alive.now(options.command)
-            logging.getLogger("pymc_features").handlers = [Told(console)]
+            logging.getLogger("pymc_features").handlers = [console_handler(console)]
             logging.getLogger("pymc_features").setLevel(logging.INFO)
             return globals()[options.command.replace("-", "_")](options, console) or 0
     except KeyboardInterrupt:
@@ -81,16 +82,11 @@ def main(arguments=None) -> int:
         return EXIT_BAD_INPUT
 
 
-class Told(logging.Handler):
-    """What is logged, as a sentence on the console."""
-
-    def __init__(self, console):
-        super().__init__()
-        self.console = console
-
-    def emit(self, record):
-        """Say it."""
-        say(self.console, record.getMessage())
+def console_handler(console) -> logging.Handler:
+    """What says on the console whatever is logged, as a sentence."""
+    handler = logging.Handler()
+    handler.emit = lambda record: say(console, record.getMessage())
+    return handler
 
 
 def say(console, sentence, style=None):
@@ -113,15 +109,16 @@ def make_parser():
     words = "print a script that completes commands, options and files in a shell, and exit"
     shtab.add_argument_to(parser, ["--print-completion"], help=words)
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
+    files = dict.fromkeys(("FILE", "CONFIG", "RESULT", "IN"), shtab.FILE) | {"DIR": shtab.DIRECTORY}
 
     def command(name, words, description):
         """What adds arguments to a new command."""
         made = commands.add_parser(name, help=words, description=description)
 
-        def add(*names, complete=None, **settings):
-            action = made.add_argument(*names, **settings)
-            if complete is not None:
-                action.complete = complete
+        def add(name, words, **settings):
+            action = made.add_argument(name, help=words, **settings)
+            if action.metavar in files:
+                action.complete = files[action.metavar]
 
         return add
 
@@ -138,40 +135,36 @@ def make_parser():
         "linear: the source's (default; three minutes on two cores), or bouc-wen: the same with hysteretic "
         "springs (four minutes)"
     )
-    add("--structure", metavar="NAME", default="linear", help=words)
-    words = "ground motion: PEER AT2, text/CSV or .mat"
-    add("--record", metavar="FILE", complete=shtab.FILE, help=words)
-    add("--units", help="units of the record's file: g, m/s^2, cm/s^2, gal, or m/s^2 per unit")
-    add("--record-dt", type=float, metavar="S", help="step of the record [s], if the file is silent")
-    add("--column", help="column of the record's file, if it has several")
-    words = "output folder (default: reproduce-output[-STRUCTURE][-quick])"
-    add("--out", metavar="DIR", complete=shtab.DIRECTORY, help=words)
+    add("--structure", words, metavar="NAME", default="linear")
+    add("--record", "ground motion: PEER AT2, text/CSV or .mat", metavar="FILE")
+    add("--units", "units of the record's file: g, m/s^2, cm/s^2, gal, or m/s^2 per unit")
+    add("--record-dt", "step of the record [s], if the file is silent", type=float, metavar="S")
+    add("--column", "column of the record's file, if it has several")
+    add("--out", "output folder (default: reproduce-output[-STRUCTURE][-quick])", metavar="DIR")
     words = (
         "three sampling steps and fewer draws, for a first look; bouc-wen: of the record until 8 s after its "
         "peak (three minutes)"
     )
-    add("--quick", action="store_true", help=words)
-    add("--seed", type=int, default=0, help="of noise and samplers (default: 0)")
-    words = "correlation time of the noise [s] (default: 0, white)"
-    add("--noise-time", type=float, metavar="S", help=words)
-    add("--stiffness", type=float, metavar="N/m", help="nominal, initial spring stiffness (default: 1800)")
+    add("--quick", words, action="store_true")
+    add("--seed", "of noise and samplers (default: 0)", type=int, default=0)
+    add("--noise-time", "correlation time of the noise [s] (default: 0, white)", type=float, metavar="S")
+    add("--stiffness", "nominal, initial spring stiffness (default: 1800)", type=float, metavar="N/m")
     words = "NORM, TN, EXP, ABC, CN, CN-SIGMA, CN-TAU, CAL (default: all; bouc-wen: the first four)"
-    add("--likelihoods", nargs="+", metavar="NAME", help=words)
-    add("--draws", type=int, help="draws per chain (default: 2000, quick 250; bouc-wen: 1000)")
-    add("--chains", type=int, help="chains (default: 4, quick 2; bouc-wen: 2)")
-    add("--cores", type=int, help="processes (default: all processors)")
-    add("--executor", type=where, metavar="WHERE", help=EXECUTOR)
-    add("--force", action="store_true", help=FORCE)
+    add("--likelihoods", words, nargs="+", metavar="NAME")
+    add("--draws", "draws per chain (default: 2000, quick 250; bouc-wen: 1000)", type=int)
+    add("--chains", "chains (default: 4, quick 2; bouc-wen: 2)", type=int)
+    add("--cores", "processes (default: all processors)", type=int)
+    add("--executor", EXECUTOR, type=where, metavar="WHERE")
+    add("--force", FORCE, action="store_true")
 
-    add_update(command, shtab)
+    add_update(command)
     for made in commands.choices.values():
         made.add_argument("--traceback", action="store_true", help="on an error, show where it came from")
     return parser
 
 
-def add_update(command, shtab) -> None:
+def add_update(command) -> None:
     """The commands for measurements of one's own."""
-    config = dict(metavar="CONFIG", complete=shtab.FILE, help="configuration file, TOML")
     add = command(
         "update",
         "update a structure with measured channels, and write a report",
@@ -179,14 +172,13 @@ def add_update(command, shtab) -> None:
         "under each of its likelihoods, and writes update.nc, table.csv, table.tex, figures and report.html, "
         "one page that needs no other file. A stopped run continues: finished likelihoods are kept.",
     )
-    add("config", **config)
-    words = "output folder (default: CONFIG-output beside CONFIG)"
-    add("--out", metavar="DIR", complete=shtab.DIRECTORY, help=words)
-    add("--cores", type=int, help="processes (default: as CONFIG says, or all processors)")
-    add("--executor", type=where, metavar="WHERE", help=EXECUTOR)
-    add("--force", action="store_true", help=FORCE)
-    add("--json", action="store_true", help="print verdict, table and findings for scripts")
-    add("--fail-on", choices=["verdict"], help="exit with 3 if the model does not explain the data")
+    add("config", CONFIG, metavar="CONFIG")
+    add("--out", "output folder (default: CONFIG-output beside CONFIG)", metavar="DIR")
+    add("--cores", "processes (default: as CONFIG says, or all processors)", type=int)
+    add("--executor", EXECUTOR, type=where, metavar="WHERE")
+    add("--force", FORCE, action="store_true")
+    add("--json", "print verdict, table and findings for scripts", action="store_true")
+    add("--fail-on", "exit with 3 if the model does not explain the data", choices=["verdict"])
 
     add = command(
         "predict",
@@ -194,9 +186,8 @@ def add_update(command, shtab) -> None:
         "Reads each [[predict]] of a configuration and the result of its update, and writes bands of "
         "responses and probabilities of exceedance into it. Nothing is sampled, no channel is read.",
     )
-    add("config", **config)
-    words = "folder of the result (default: CONFIG-output)"
-    add("--out", metavar="DIR", complete=shtab.DIRECTORY, help=words)
+    add("config", CONFIG, metavar="CONFIG")
+    add("--out", "folder of the result (default: CONFIG-output)", metavar="DIR")
 
     add = command(
         "report",
@@ -204,8 +195,8 @@ def add_update(command, shtab) -> None:
         "Writes report.html from the result that `update` saved, without its data files, without sampling "
         "and within seconds.",
     )
-    add("result", metavar="RESULT", complete=shtab.FILE, help="update.nc of an update")
-    add("--out", metavar="FILE", help="page (default: report.html beside RESULT)")
+    add("result", "update.nc of an update", metavar="RESULT")
+    add("--out", "page (default: report.html beside RESULT)", metavar="FILE")
 
     add = command(
         "check",
@@ -213,8 +204,8 @@ def add_update(command, shtab) -> None:
         "Reads a configuration and its channels, checks them against each other, says which lines of the "
         "file would correct what is wrong, and draws them.",
     )
-    add("config", **config)
-    add("--out", metavar="FILE", help="figure (default: CONFIG-check.png beside CONFIG)")
+    add("config", CONFIG, metavar="CONFIG")
+    add("--out", "figure (default: CONFIG-check.png beside CONFIG)", metavar="FILE")
 
     add = command(
         "init",
@@ -223,10 +214,9 @@ def add_update(command, shtab) -> None:
         "are in PYMC_FEATURES_DATA, in the cache or can be downloaded, else with simulated data in a file "
         "beside it. Or for a building of eight storeys with three sensors, simulated.",
     )
-    add("config", metavar="CONFIG", nargs="?", default="update.toml")
-    words = "shaking-table (default) or building"
-    add("--example", metavar="NAME", default="shaking-table", help=words)
-    add("--synthetic", action="store_true", help="shaking-table: simulated data in any case")
+    add("config", "file to write (default: update.toml)", metavar="CONFIG", nargs="?", default="update.toml")
+    add("--example", "shaking-table (default) or building", metavar="NAME", default="shaking-table")
+    add("--synthetic", "shaking-table: simulated data in any case", action="store_true")
 
     add = command(
         "convert",
@@ -234,12 +224,12 @@ def add_update(command, shtab) -> None:
         "Reads accelerations in any format that is known, or with --modes identified modes, and writes CSV "
         "with units in its header, a Universal File, or modes as JSON, by the ending of OUT.",
     )
-    add("source", metavar="IN", complete=shtab.FILE, help="file to read")
-    add("target", metavar="OUT", help=".csv, .txt, .uff, .unv, modes also .json")
-    add("--modes", action="store_true", help="IN holds identified modes (JSON always does)")
-    add("--units", help="of channels, if the file is silent: g, m/s^2, gal, or m/s^2 per unit")
-    add("--dt", type=float, metavar="S", help="step of the channels [s], if the file is silent")
-    add("--force", action="store_true", help="replace OUT if it is there")
+    add("source", "file to read", metavar="IN")
+    add("target", ".csv, .txt, .uff, .unv, modes also .json", metavar="OUT")
+    add("--modes", "IN holds identified modes (JSON always does)", action="store_true")
+    add("--units", "of channels, if the file is silent: g, m/s^2, gal, or m/s^2 per unit")
+    add("--dt", "step of the channels [s], if the file is silent", type=float, metavar="S")
+    add("--force", "replace OUT if it is there", action="store_true")
 
     command(
         "warm-up",

@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -28,15 +27,6 @@ DATA_VARIABLE = "PYMC_FEATURES_DATA"
 _TIMEOUT = 15.0  # [s]
 _GRAVITY = 9.81  # [m/s^2] per g, the value of the reference results
 _EL_CENTRO = Path(__file__).parent / "data" / "elcentro.dat"
-
-
-@dataclass(frozen=True)
-class _Source:
-    """A file at a fixed public address."""
-
-    file: str
-    url: str
-    sha256: str
 
 
 _SHAKE_TABLE = (
@@ -162,7 +152,7 @@ def mini_shake_table(event: str) -> xr.DataArray:
     paths = {}
     for (level, there), digest in zip(_LEVELS.items(), digests, strict=True):
         file = f"mini_shake_table/flexible_{local}_{level}.csv"
-        paths[level] = _fetch(_Source(file, _SHAKE_TABLE + quote(there.format(*names), safe="/()"), digest))
+        paths[level] = _fetch(file, _SHAKE_TABLE + quote(there.format(*names), safe="/()"), digest)
     channels = read_channels(paths, columns="Acc_X", units="m/s^2", skip=1)
     return channels.assign_attrs(event=event)
 
@@ -221,8 +211,7 @@ def footbridge() -> Footbridge:
     large-scale models, and https://github.com/ywang-structures/Structural-Model-Updating (GPL-3).
     """
     modes, matrices = (
-        _fetch(_Source(f"modal/footbridge/{file}", _BRIDGE + file, digest))
-        for file, digest in _BRIDGE_FILES.items()
+        _fetch(f"modal/footbridge/{file}", _BRIDGE + file, digest) for file, digest in _BRIDGE_FILES.items()
     )
     found = loadmat(matrices)  # not by `read_matrices`: dense zeros, a hundred times the size of the file
     measured = found["measDOFs"].astype(np.int64).ravel() - 1
@@ -258,44 +247,35 @@ def rc_column() -> xr.Dataset:
     """
     columns = []
     for commit, (file, digest) in zip(_COLUMN_COMMITS, _COLUMN_FILES.items(), strict=True):
-        text = _fetch(_Source(f"rc_column/{file}", _COLUMN.format(commit, file), digest)).read_text()
+        text = _fetch(f"rc_column/{file}", _COLUMN.format(commit, file), digest).read_text()
         columns.append(np.array(text.replace(",", " ").split(), dtype=np.float64))
     return xr.Dataset({"displacement": ("step", columns[0]), "force": ("step", 1e3 * columns[1])})
 
 
-def _fetch(source: _Source) -> Path:
-    """Path of the checked file: the local folder first, then the cache, then the network."""
-    if folder := os.environ.get(DATA_VARIABLE):
-        path = Path(folder) / source.file
-        if path.is_file():
-            return _checked(path, source)
-    return _checked(_download(source), source)
-
-
-def _checked(path: Path, source: _Source) -> Path:
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    if digest != source.sha256:
-        raise ValueError(
-            f"{path} must have the SHA-256 {source.sha256}, got {digest}. Replace it by the file from "
-            f"{source.url}."
-        )
-    return path
-
-
-def _download(source: _Source) -> Path:
+def _fetch(file: str, url: str, sha256: str) -> Path:
+    """Path of a published file, its bytes checked: in the local folder, then the cache, then the network."""
+    folder = os.environ.get(DATA_VARIABLE)
+    if folder and (path := Path(folder, file)).is_file():
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        if digest != sha256:
+            raise ValueError(
+                f"{path} must have the SHA-256 {sha256}, got {digest}. Replace it by the file from {url}."
+            )
+        return path
     import pooch  # only here: records made by hand need no network
 
     try:
-        path = pooch.retrieve(
-            source.url,
-            known_hash=f"sha256:{source.sha256}",
-            fname=source.file,
-            path=pooch.os_cache("pymc_features"),
-            downloader=pooch.HTTPDownloader(timeout=_TIMEOUT),
+        return Path(
+            pooch.retrieve(
+                url,
+                known_hash=f"sha256:{sha256}",
+                fname=file,
+                path=pooch.os_cache("pymc_features"),
+                downloader=pooch.HTTPDownloader(timeout=_TIMEOUT),
+            )
         )
     except (OSError, ValueError) as error:  # no network, no cache folder, or other bytes
         raise DatasetUnavailableError(
-            f"{source.file} could not be downloaded from {source.url} ({error}). Set {DATA_VARIABLE} to a "
-            "folder that holds it, or pass measured channels to `read_channels`."
+            f"{file} could not be downloaded from {url} ({error}). Set {DATA_VARIABLE} to a folder that "
+            "holds it, or pass measured channels to `read_channels`."
         ) from error
-    return Path(path)

@@ -126,25 +126,18 @@ class PartProgress:
     """
 
     def __init__(self, console, what, alive: Heartbeat | None = None, pause: float = 0.0):
-        self.console, self.alive, self.pause = console, alive, pause
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
+        from rich import progress
 
+        self.console, self.alive, self.pause = console, alive, pause
         self.begun, self.said = monotonic(), -float("inf")
-        self.bar = Progress(
-            TextColumn(f"[bold]{what}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            TextColumn("{task.description}"),
+        self.bar = progress.Progress(
+            f"[bold]{what}",
+            progress.BarColumn(),
+            progress.MofNCompleteColumn(),
+            progress.TimeElapsedColumn(),
+            "left",
+            progress.TimeRemainingColumn(),
+            "{task.description}",
             console=console,
             speed_estimate_period=WHOLE,
             disable=not console.is_terminal,

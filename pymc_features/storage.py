@@ -5,6 +5,7 @@ import json
 import os
 from contextlib import contextmanager
 from datetime import datetime
+from itertools import count
 from pathlib import Path
 
 import xarray as xr
@@ -32,39 +33,35 @@ class PartStore:
     """
 
     def __init__(self, folder, settings: dict, what: str = "study"):
-        self.what = what
-        self._memory: dict[str, xr.DataTree] = {}
-        self.folder = None if folder is None else Path(folder)
-        self.summed = True
+        self.folder, self.what = None if folder is None else Path(folder), what
         self.settings = json.loads(json.dumps(settings))
-        if self.folder is not None:
-            try:
-                (self.folder / "parts").mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise OSError(
-                    f"`out` must be a folder that can be written, got {error.filename}: {error.strerror}. "
-                    "Choose another."
-                ) from error
-            self._check(self.settings)
-
-    def _check(self, wanted):
-        found = settings_in(self.folder, self.what)
+        self._memory: dict[str, xr.DataTree] = {}
+        self.summed = True
+        if self.folder is None:
+            return
+        try:
+            (self.folder / "parts").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OSError(
+                f"`out` must be a folder that can be written, got {error.filename}: {error.strerror}. "
+                "Choose another."
+            ) from error
+        found, wanted = settings_in(self.folder, what), self.settings
         if found is None:
-            path = self.folder / f"{self.what}.json"
             text = json.dumps(wanted | {SUMMED: True}, indent=2)
-            write_atomically(path, lambda p: p.write_text(f"{text}\n"))
+            write_atomically(self.folder / f"{what}.json", lambda p: p.write_text(f"{text}\n"))
             return
         self.summed = found.pop(SUMMED, False) is True
-        different = [
-            f"{key} = {found.get(key)!r} instead of {wanted.get(key)!r}"
-            for key in wanted | found
-            if found.get(key) != wanted.get(key)
-        ]
-        if different:
+        if found != wanted:
+            different = [
+                f"{key} = {found.get(key)!r} instead of {wanted.get(key)!r}"
+                for key in wanted | found
+                if found.get(key) != wanted.get(key)
+            ]
             raise StudyMismatchError(
-                f"`out` must be empty or hold the same {self.what}, got {self.folder} with "
-                f"{', '.join(different)}. Choose another folder, or delete this one (--force on the "
-                "command line)."
+                f"`out` must be empty or hold the same {what}, got {self.folder} with "
+                f"{', '.join(different)}. Choose another folder, or delete this one (--force on the command "
+                "line)."
             )
 
     def _path(self, name):
@@ -149,11 +146,8 @@ def held(folder, what: str):
 
 def moved_aside(folder: Path) -> Path:
     """Rename a folder to the first of NAME-1, NAME-2, ... that is free, and return that."""
-    number = 1
-    while (found := folder.with_name(f"{folder.name}-{number}")).exists():
-        number += 1
-    folder.rename(found)
-    return found
+    names = (folder.with_name(f"{folder.name}-{number}") for number in count(1))
+    return folder.rename(next(path for path in names if not path.exists()))
 
 
 def remove_parts(folder, what: str) -> int:

@@ -1,9 +1,7 @@
-"""Linear structures whose matrices are affine in parameters, and the terms of a function that makes them."""
+"""Linear structures whose matrices are affine in parameters."""
 
 import copy
-import inspect
 from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations
 from os import PathLike
 from typing import Self
 
@@ -12,29 +10,12 @@ import pytensor.tensor as pt
 from pytensor.graph.basic import Variable
 from scipy import sparse
 
-from pymc_features._checks import (
-    as_array,
-    as_list,
-    as_numbers,
-    check_callable,
-    check_mapping,
-    check_number,
-    check_texts,
-    message,
-    shown,
-)
+from pymc_features._checks import as_list, as_numbers, check_texts, message
 from pymc_features.structures.base import MATRICES, NUMBERS, Values, as_variables, unpacked, vector
 from pymc_features.structures.damping import Damping
 from pymc_features.structures.linear import DofNames, LinearStructure
-from pymc_features.structures.matrices import MatrixLike, as_matrix
-from pymc_features.structures.programs import Exports, OpenSeesModel
-
-UNITS = {"mass": "kg", "damping": "N s/m", "stiffness": "N/m"}
-ROUNDING = 1e-12  # share of an entry that counts as rounding of it
-AFFINE = 1e-9  # share of an entry by which it may miss the affine sum
-FLOOR = 1e-12  # the same, on the scale of the diagonal: entries may be differences of large numbers
-SPREAD = 0.5  # largest relative change of the parameters at the point of the check
-THIRD = 1.4  # factor on a parameter that is looked at by itself
+from pymc_features.structures.matrices import UNITS, MatrixLike, as_matrix
+from pymc_features.structures.terms import OpenSeesModel, Terms, assembled_terms, exported_terms
 
 
 class AffineStructure(LinearStructure):
@@ -67,7 +48,7 @@ class AffineStructure(LinearStructure):
 
     parameter_names: tuple[str, ...] | None = None
     inputs = LinearStructure.inputs | {
-        "theta": vector("-", required=True),
+        "theta": vector("-")._replace(required=True),
         "stiffness_terms": MATRICES,
         "mass_terms": MATRICES,
         "damping_terms": MATRICES,
@@ -153,11 +134,10 @@ class AffineStructure(LinearStructure):
         >>> cantilever.with_parameters({"mass": 1000.0, "EI": 2e6}).stiffness
         array([[750000.]])
         """
-        affine = AffineTerms(build, parameters, damping is None)
-        return cls._of_terms(affine, damping, influence)
+        return cls._of_terms(assembled_terms(build, parameters, damping is None), damping, influence)
 
     @classmethod
-    def _of_terms(cls, affine, damping, influence=None) -> Self:
+    def _of_terms(cls, affine: Terms, damping, influence=None) -> Self:
         """The structure of terms that have a name, a nominal value and a matrix or more each."""
         if damping is None and "damping" not in affine.constants:
             raise ValueError(
@@ -233,7 +213,7 @@ class AffineStructure(LinearStructure):
         array([[ 2.5, -0.5],
                [-0.5,  0.5]])
         """
-        exports = Exports(base, terms, units)
+        exports = exported_terms(base, terms, units)
         structure = cls._of_terms(exports, damping)
         if exports.labels is None and direction is None:
             return structure
@@ -279,9 +259,9 @@ class AffineStructure(LinearStructure):
         OpenSees gives full matrices: for up to some thousand degrees of freedom. Frequencies are those of
         `eigen` to 1e-6, histories those of its integration to 0.1 % (tests/structures/test_opensees.py).
         """
-        model = OpenSeesModel(check_callable(build, "build", "Pass a function of the parameters."))
+        model = OpenSeesModel(build)
         structure = cls.from_matrices(model, parameters, damping=damping)
-        if damping is None and not model.is_damped:
+        if damping is None and not structure._terms[1].stack.any():
             raise ValueError(
                 "`damping` must be given if the model has none, got None. Pass ModalDamping(ratios) or "
                 "RayleighDamping(alpha, beta), or call `rayleigh` in `build`."
@@ -357,186 +337,3 @@ def _term(matrix, kind, i, stiffness):
     n, name = stiffness.shape[0], f"{kind}_terms[{i}]"
     matrix = as_matrix(matrix, name, UNITS[kind], n=n, symmetric=kind != "damping")
     return sparse.csc_array(matrix) if sparse.issparse(stiffness) else matrix
-
-
-class AffineTerms:
-    """A_0 and A_i of A(theta) = A_0 + sum_i theta_i A_i, by a change of each parameter; checked at a point.
-
-    Parameters
-    ----------
-    build : callable
-        (M, C, K) or (M, K), arrays or sparse matrices, of parameters by name.
-    parameters : mapping of str to float
-        Nominal values; each is doubled once (zero: becomes 1).
-    with_damping : bool
-        Whether C is wanted.
-
-    Attributes
-    ----------
-    nominal : dict of str to float
-        Parameters in their order.
-    constants : dict of str to array or csc_array
-        A_0 of "mass", "damping" (if there is any) and "stiffness".
-    terms : dict of str to list of p matrices or None
-        A_i; None where parameter i does not act.
-
-    Raises
-    ------
-    ValueError
-        If a matrix is not affine, by the names of the parameters, or a parameter changes nothing.
-    """
-
-    def __init__(self, build: Callable, parameters: Mapping[str, float], with_damping: bool):
-        advice = "Pass a function that returns (M, C, K) of parameters by name."
-        self.build, self.with_damping = check_callable(build, "build", advice), with_damping
-        self.is_sparse, self.shapes = False, {}
-        self.nominal = check_parameters(parameters)
-        check_signature(build, self.nominal)
-        base = self.assembled(self.nominal)
-        self.constants, self.terms = {}, {kind: [] for kind in base}
-        for name, value in self.nominal.items():
-            step = value or 1.0
-            moved = self.assembled(self.nominal | {name: value + step})
-            for kind, matrix in base.items():
-                change = without_rounding(moved[kind] - matrix, abs(moved[kind]) + abs(matrix))
-                self.terms[kind].append(change / step if change.count_nonzero() else None)
-            if all(parts[-1] is None for parts in self.terms.values()):
-                raise ValueError(
-                    f"`parameters` must change a matrix each, got {name!r} that changes none. Use it in "
-                    "`build`, or leave it out."
-                )
-        for kind, matrix in base.items():
-            parts = self.parts(kind, self.nominal)
-            size = abs(matrix) + sum(map(abs, parts))
-            self.constants[kind] = without_rounding(matrix - sum(parts), size)
-        self.check()
-        if not self.is_sparse:
-            self.constants = {kind: a.toarray() for kind, a in self.constants.items()}
-            for parts in self.terms.values():
-                parts[:] = [None if a is None else a.toarray() for a in parts]
-
-    def assembled(self, values: Mapping[str, float]) -> dict:
-        """The matrices that `build` returns, by kind, as `csc_array`; all of one size."""
-        returned = self.build(**values)
-        if not isinstance(returned, tuple | list) or len(returned) not in (2, 3):
-            got = (
-                f"{len(returned)} of them" if isinstance(returned, tuple | list) else type(returned).__name__
-            )
-            raise TypeError(message("build", "a function that returns (M, C, K) or (M, K)", got))
-        kinds = ("mass", "damping", "stiffness") if len(returned) == 3 else ("mass", "stiffness")
-        self.is_sparse |= sparse.issparse(returned[-1])
-        matrices = {kind: as_sparse(a, kind) for kind, a in zip(kinds, returned, strict=True)}
-        shapes = {kind: a.shape for kind, a in matrices.items()}
-        self.shapes = self.shapes or shapes
-        if self.shapes != shapes or len(set(shapes.values())) > 1:
-            got = ", ".join(f"{kind} {shape}" for kind, shape in (self.shapes | shapes).items())
-            advice = "Parameters change entries, not the degrees of freedom."
-            raise ValueError(message("build", "a function that returns matrices of one size", got, advice))
-        if not self.with_damping:
-            matrices.pop("damping", None)
-        return matrices
-
-    def parts(self, kind: str, point: Mapping[str, float]) -> list:
-        """theta_i A_i of one of the matrices."""
-        return [x * a for x, a in zip(point.values(), self.terms[kind], strict=True) if a is not None]
-
-    def check(self) -> None:
-        """Compare with the matrices at a point where all parameters differ; name those that do not fit."""
-        factors = 1.0 + SPREAD * np.random.default_rng(0).uniform(-1.0, 1.0, len(self.nominal))
-        point = zip(self.nominal.items(), factors, strict=True)
-        wrong = self.misses({name: (value or 1.0) * x for (name, value), x in point})
-        if not wrong:
-            return
-        kind, (size, row, column) = max(wrong.items(), key=lambda item: item[1][0])
-        alone = [name for name in self.nominal if kind in self.misses(self.moved(name))]
-        if alone:
-            how = f"{in_words(alone)} {'enters' if len(alone) == 1 else 'enter'} otherwise"
-        else:
-            free = combinations(self.nominal, 2)
-            pairs = [pair for pair in free if kind in self.misses(self.moved(*pair))]
-            how = f"{in_words(pairs[0] if pairs else list(self.nominal))} act on each other"
-        advice = "Take as parameters what the matrices are proportional to (E I, not a height)"
-        if kind == "damping":
-            advice += ", pass `damping` (Rayleigh coefficients from frequencies are no sum)"
-        raise ValueError(
-            "`build` must return matrices that are sums A_0 + sum_i theta_i A_i of the parameters, got a "
-            f"{kind} in which {how}: the sum misses the entry in row {row}, column {column} by {size:.2g} of "
-            f"it. {advice}, or run the model as it is by ExternalSimulator."
-        )
-
-    def moved(self, *names: str) -> dict[str, float]:
-        """The nominal parameters, but for some."""
-        return self.nominal | {name: THIRD * (self.nominal[name] or 0.5) for name in names}
-
-    def misses(self, point: Mapping[str, float]) -> dict:
-        """The worst entry of each matrix that is not the affine sum: its relative error, row and column."""
-        worst = {}
-        for kind, matrix in self.assembled(point).items():
-            total = self.constants[kind] + sum(self.parts(kind, point))
-            error, size = abs(total - matrix), abs(matrix) + abs(total)
-            root = sparse.diags_array(np.sqrt(size.diagonal()))
-            rounding = root @ (error > 0).astype(np.float64) @ root
-            rows, columns = (error > AFFINE * size + FLOOR * rounding).nonzero()
-            if rows.size:
-                shares = [2.0 * error[i, j] / size[i, j] for i, j in zip(rows, columns, strict=True)]
-                at = int(np.argmax(shares))
-                worst[kind] = float(shares[at]), int(rows[at]), int(columns[at])
-        return worst
-
-
-def check_parameters(parameters) -> dict[str, float]:
-    """Names and finite nominal values, at least one."""
-    advice = "Pass for example {'E': 30e9}."
-    values = check_mapping(parameters, "parameters", "a mapping of names to nominal values", advice)
-    if not values:
-        raise ValueError(message("parameters", "one or more", shown(parameters), advice))
-    nominal = {name: check_number(x, f"parameters[{name!r}]", advice) for name, x in values.items()}
-    for name, value in nominal.items():
-        if not np.isfinite(value):
-            raise ValueError(message(f"parameters[{name!r}]", "finite", value, advice))
-    return nominal
-
-
-def check_signature(build: Callable, names: Mapping) -> None:
-    """Refuse a function that cannot be called with these names."""
-    try:
-        signature = inspect.signature(build)
-    except (TypeError, ValueError):  # of some built-in functions it is not known
-        return
-    try:
-        signature.bind(**dict.fromkeys(names))
-    except TypeError as error:
-        what = f"a function of {', '.join(names)}, as in `parameters`"
-        raise TypeError(message("build", what, f"one of {signature}", f"It has {error}.")) from None
-
-
-def as_sparse(value, kind) -> sparse.csc_array:
-    """A finite square matrix; a vector is a diagonal."""
-    array = value if sparse.issparse(value) else as_array(value)
-    got = None
-    if array.dtype.kind not in "iuf":
-        got = f"{type(value).__name__} as {kind}"
-    elif array.ndim == 1 and array.size:
-        array = sparse.diags_array(np.asarray(array, dtype=np.float64))
-    elif array.ndim != 2 or array.shape[0] != array.shape[1] or not array.shape[0]:
-        got = f"shape {array.shape} for {kind}"
-    if got is None:
-        matrix = sparse.csc_array(array, dtype=np.float64)
-        if np.isfinite(matrix.data).all():
-            return matrix
-        got = f"NaN or infinity in {kind}"
-    what = "a function that returns finite square matrices"
-    raise ValueError(message("build", what, got, f"Return {kind} in {UNITS[kind]}."))
-
-
-def without_rounding(difference, size) -> sparse.csc_array:
-    """A difference without the entries that are only rounding of what it is between."""
-    entries = sparse.csc_array(difference.multiply(abs(difference) > ROUNDING * size))
-    entries.eliminate_zeros()
-    return entries
-
-
-def in_words(names) -> str:
-    """Names in words."""
-    *rest, last = names
-    return f"{', '.join(rest)} and {last}" if rest else last

@@ -1,14 +1,14 @@
 """What a structure is to the rest of the package, and what its arguments may be, in a call and in a file.
 
-A class states its arguments in `inputs`, with kind, unit and range; defaults are those of its signature.
-A call is checked against these statements, and so is `update.toml`, whose values are passed on by name.
+A class states each argument once, as a field with kind, unit and range. A call is checked against these
+statements, and so is `update.toml`, whose values are passed on by name.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from enum import Enum
-from typing import NamedTuple
+from typing import NamedTuple, dataclass_transform
 
 import numpy as np
 import pytensor.tensor as pt
@@ -31,10 +31,24 @@ type Values = ArrayLike | Variable | Sequence[float | Variable]
 
 NUMBERS = "numbers or PyTensor variables"
 PLAIN = Mode(linker="py", optimizer=None)  # nothing to compile
-POSITIVE, NOT_NEGATIVE, FINITE = "positive and finite", "finite and not negative", "finite"
 
 
 # ---- arguments ----
+
+
+class Condition(NamedTuple):
+    """What finite numbers must fulfil: the words after "must", and the places where they do."""
+
+    words: str
+    holds: Callable[[np.ndarray], np.ndarray]
+
+
+POSITIVE = Condition("be positive and finite", lambda x: x > 0.0)
+NOT_NEGATIVE = Condition("be finite and not negative", lambda x: x >= 0.0)
+FINITE = Condition("be finite", np.isfinite)
+SHARE = Condition("lie between 0 and 1", lambda x: (x >= 0.0) & (x <= 1.0))
+AT_LEAST_ONE = Condition("be at least 1", lambda x: x >= 1.0)
+NUMERIC = "Pass plain numbers."
 
 
 class Kind(Enum):
@@ -57,35 +71,36 @@ class Input(NamedTuple):
     ----------
     kind : Kind
     unit : str
+    condition : Condition
+        What numbers must be.
+    advice : str
+        A sentence for messages, what to pass.
     required : bool
         Whether a file must give it though it has a default.
-    condition : str
-        What numbers must be.
-    words : str
-        What messages say in place of the unit of a ratio.
     """
 
     kind: Kind
     unit: str = "-"
+    condition: Condition = POSITIVE
+    advice: str = ""
     required: bool = False
-    condition: str = POSITIVE
-    words: str = ""
 
 
-def scalar(unit: str, condition: str = POSITIVE, words: str = "") -> Input:
+def scalar(unit: str, condition: Condition = POSITIVE, advice: str = "") -> Input:
     """A number that may be random."""
-    return Input(Kind.SCALAR, unit, condition=condition, words=words)
+    return Input(Kind.SCALAR, unit, condition, advice or f"Pass values in {unit}.")
 
 
-def vector(unit: str, condition: str = POSITIVE, words: str = "", *, required: bool = False) -> Input:
+def vector(unit: str, condition: Condition = POSITIVE, advice: str = "") -> Input:
     """One value for all or one for each, which may be random."""
-    return Input(Kind.VECTOR, unit, required, condition, words)
+    return Input(Kind.VECTOR, unit, condition, advice or f"Pass values in {unit}.")
 
 
 MATRIX = Input(Kind.MATRIX)
 MATRICES = Input(Kind.MATRICES)
-DAMPING = Input(Kind.DAMPING)
-DAMPING_OR_MATRIX = Input(Kind.DAMPING_OR_MATRIX)
+KINDS_OF_DAMPING = "RayleighDamping(alpha, beta) or ModalDamping(ratios)."
+DAMPING = Input(Kind.DAMPING, advice=f"Pass {KINDS_OF_DAMPING}")
+DAMPING_OR_MATRIX = Input(Kind.DAMPING_OR_MATRIX, advice=f"Pass C in N s/m, {KINDS_OF_DAMPING}")
 
 
 class Described:
@@ -99,65 +114,64 @@ class Described:
 
     inputs: dict[str, Input]
 
-    def take(self, **values: Values) -> None:
-        """Keep arguments as attributes: vectors, floats or scalar tensors, checked."""
-        for name, value in values.items():
-            entry = self.inputs[name]
-            unit = entry.words or entry.unit
-            checked = as_vector(value, name, unit, entry.condition)
+    def __post_init__(self):
+        """Keep vectors as arrays or tensors, scalars as floats or tensors; refuse parts of another kind."""
+        for field in fields(self):
+            entry, name, value = field.type.__metadata__[0], field.name, getattr(self, field.name)
+            if entry.kind in (Kind.SCALAR, Kind.VECTOR):
+                value = as_vector(value, name, entry.advice, entry.condition)
+            elif not isinstance(value, field.type.__origin__):
+                what = f"a {entry.kind.name.title()}"
+                raise TypeError(message(name, what, type(value).__name__, entry.advice))
             if entry.kind is Kind.SCALAR:
-                if checked.ndim:
-                    raise ValueError(
-                        f"`{name}` must be a scalar, got {checked.ndim} dimension. Pass one value in {unit}."
-                    )
-                checked = checked if isinstance(checked, Variable) else float(checked)
-            setattr(self, name, checked)
+                if value.ndim:
+                    one = entry.advice.replace("values", "one value")
+                    raise ValueError(message(name, "a scalar", f"{value.ndim} dimension", one))
+                value = value if isinstance(value, Variable) else float(value)
+            setattr(self, name, value)
 
 
-def as_vector(value, name: str, unit: str, condition: str = POSITIVE):
+@dataclass_transform(eq_default=False)
+def described[T](cls: type[T]) -> type[T]:
+    """Make a dataclass whose fields are annotated with what they may be, its `inputs`."""
+    made = dataclass(eq=False, repr=False)(cls)
+    made.inputs = {field.name: field.type.__metadata__[0] for field in fields(made)}
+    types = {field.name: field.type.__origin__ for field in fields(made)}
+    made.__init__.__annotations__ = types | {"return": None}  # so that help shows types alone
+    return made
+
+
+def as_vector(value, name: str, advice: str, condition: Condition = POSITIVE):
     """Return numbers as a float64 array and anything symbolic as a float64 tensor, checked.
 
     Parameters
     ----------
     value : number, array_like, TensorVariable or sequence of numbers and TensorVariables
         Scalar or one-dimensional. A variable with `dims` has the length of its coordinates.
-    name, unit : str
+    name, advice : str
         For messages.
-    condition : str
-        What numbers must be: `POSITIVE`, `NOT_NEGATIVE` or `FINITE`.
+    condition : Condition
+        What numbers must fulfil.
 
     Returns
     -------
     array or TensorVariable, of 0 or 1 dimension.
     """
-    value, advice = unpacked(value), f"Pass values in {unit}."
-    symbolic = as_variables(value, name, advice)
-    if symbolic is None:
-        return _as_numbers(value, name, advice, condition)
-    if not isinstance(value, Variable):
-        _as_numbers([1.0, *(x for x in value if not isinstance(x, Variable))], name, advice, condition)
-    if symbolic.ndim > 1:
-        raise ValueError(
-            f"`{name}` must be a scalar or a vector, got a tensor of {symbolic.ndim} dimensions. "
-            "Give one value for each degree of freedom."
-        )
-    return symbolic
-
-
-def _as_numbers(value, name, advice, condition):
-    numbers = as_numbers(value, name, advice, what=NUMBERS)
-    if numbers.ndim > 1 or numbers.size == 0:
-        raise ValueError(
-            f"`{name}` must be a scalar or a vector, got shape {numbers.shape}. "
-            "Give one value for each degree of freedom."
-        )
-    legal = np.isfinite(numbers)
-    if condition != FINITE:
-        legal &= numbers >= 0 if condition == NOT_NEGATIVE else numbers > 0
+    value = unpacked(value)
+    tensor, numbers = as_variables(value, name, advice), np.ones(1)
+    if tensor is None:
+        numbers = as_numbers(value, name, advice, what=NUMBERS)
+    elif not isinstance(value, Variable):
+        numbers = as_numbers([x for x in value if not isinstance(x, Variable)], name, advice, what=NUMBERS)
+    result = numbers if tensor is None else tensor
+    if result.ndim > 1 or (tensor is None and numbers.size == 0):
+        got = f"shape {numbers.shape}" if tensor is None else f"a tensor of {tensor.ndim} dimensions"
+        advice = "Give one value for each degree of freedom."
+        raise ValueError(message(name, "a scalar or a vector", got, advice))
+    legal = np.isfinite(numbers) & condition.holds(numbers)
     if not legal.all():
-        wrong = np.atleast_1d(numbers)[np.flatnonzero(~np.atleast_1d(legal))[0]]
-        raise ValueError(message(name, condition, f"{wrong:g}", advice))
-    return numbers
+        raise ValueError(f"`{name}` must {condition.words}, got {numbers[~legal][0]:g}. {advice}")
+    return result
 
 
 def static_length(value) -> int | None:
@@ -165,6 +179,13 @@ def static_length(value) -> int | None:
     if value.ndim == 0:
         return None
     return value.type.shape[0] if isinstance(value, Variable) else value.shape[0]
+
+
+def check_length(value, name: str, n: int, things: str) -> None:
+    """Refuse a vector that has not one value for each of n things."""
+    if static_length(value) not in (None, n):
+        got = static_length(value)
+        raise ValueError(f"`{name}` must have one value or one for each of the {n} {things}, got {got}.")
 
 
 def is_numeric(value) -> bool:
@@ -196,41 +217,27 @@ def holds_variables(value) -> bool:
 
 def as_variables(value, name: str, advice: str = "") -> Variable | None:
     """A variable, or a list with variables in it, as a float64 tensor; None of numbers."""
-    if isinstance(value, Variable):
-        return with_known_length(as_float_tensor(value, name, advice))
-    return stacked(value, name, advice) if holds_variables(value) else None
+    if not isinstance(value, Variable) and not holds_variables(value):
+        return None
+    return with_known_length(as_tensor(value, name, advice))
 
 
 def as_tensor(value, name: str, advice: str = ""):
     """A float64 tensor from a variable, from numbers or from a list of both; refuse what holds no numbers."""
     value = unpacked(value)
-    if isinstance(value, Variable):
-        return as_float_tensor(value, name, advice)
     if holds_variables(value):
-        return stacked(value, name, advice)
-    return pt.as_tensor_variable(as_numbers(value, name, advice, what=NUMBERS))
-
-
-def as_float_tensor(variable, name: str, advice: str = ""):
-    """A variable as a float64 tensor; refuse what has no real numbers."""
-    kind = variable.type
-    if not isinstance(kind, TensorType) or kind.dtype.startswith(("complex", "bool")):
-        got = f"a PyTensor variable of type {kind}"
-        raise TypeError(message(name, "real numbers", got, advice))
-    if isinstance(variable, Constant):  # a cast of it would be none
-        return pt.as_tensor_variable(np.asarray(variable.data, dtype=np.float64))
-    return variable.astype("float64")
-
-
-def stacked(entries, name: str, advice: str = ""):
-    """Numbers and variables of one number of dimensions as a float64 tensor; its first axis counts them."""
-    tensors = [as_tensor(entry, name, advice) for entry in entries]
-    if len({tensor.ndim for tensor in tensors}) > 1:
-        raise ValueError(
-            f"`{name}` must be a list of scalars, got a vector among them. "
-            "Pass a vector by itself, or join several by `pt.concatenate`."
-        )
-    return pt.stack(tensors)
+        tensors = [as_tensor(entry, name, advice) for entry in value]
+        if len({tensor.ndim for tensor in tensors}) > 1:
+            advice = "Pass a vector by itself, or join several by `pt.concatenate`."
+            raise ValueError(message(name, "a list of scalars", "a vector among them", advice))
+        return pt.stack(tensors)
+    if not isinstance(value, Variable):
+        return pt.as_tensor_variable(as_numbers(value, name, advice, what=NUMBERS))
+    if not isinstance(value.type, TensorType) or value.type.dtype.startswith(("complex", "bool")):
+        raise TypeError(message(name, "real numbers", f"a PyTensor variable of type {value.type}", advice))
+    if isinstance(value, Constant):  # a cast of it would be none
+        return pt.as_tensor_variable(np.asarray(value.data, dtype=np.float64))
+    return value.astype("float64")
 
 
 def with_known_length(tensor):

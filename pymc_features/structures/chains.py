@@ -5,7 +5,8 @@ Springs are linear, yield (Bouc-Wen, elastic-plastic as its limit), or harden wi
 
 import copy
 from collections.abc import Sequence
-from typing import Self
+from dataclasses import KW_ONLY, fields
+from typing import Annotated, Self
 
 import numpy as np
 import pytensor.tensor as pt
@@ -16,13 +17,19 @@ from pymc_features._checks import as_array, shown
 from pymc_features.simulators.chain.modes import LOSS, eigenvalue_of, write_shape
 from pymc_features.structures.affine import AffineStructure
 from pymc_features.structures.base import (
+    AT_LEAST_ONE,
     DAMPING,
     NOT_NEGATIVE,
+    NUMERIC,
+    POSITIVE,
+    SHARE,
     Matrices,
     Modes,
     Structure,
     Values,
     as_vector,
+    check_length,
+    described,
     is_numeric,
     spread,
     static_length,
@@ -30,55 +37,55 @@ from pymc_features.structures.base import (
 )
 from pymc_features.structures.damping import Damping
 
+RATIO = "Pass post-yield over initial stiffness; use `DuffingChain` for springs that harden."
+SHARPNESS = "Pass 1 to 3 for gradual yielding, 20 or more for a nearly bilinear spring."
 
+
+@described
 class Chain(Structure):
     """Masses in a row, each joined to the one below by a spring, the first to the moving base.
 
-    A kind of spring is a subclass: it adds to `inputs` what its springs need, hands that on by name, and
-    names the family of kernels. `matrices` and `modes` are those of the initial stiffness.
+    A kind of spring is a subclass: its fields are what its springs need besides, in the order of the kernels,
+    and it names the family of these. `matrices` and `modes` are those of the initial stiffness.
     """
 
-    has_storeys = True
-    inputs = {"mass": vector("kg"), "stiffness": vector("N/m"), "damping": DAMPING}
+    mass: Annotated[Values, vector("kg")]
+    stiffness: Annotated[Values, vector("N/m")]
+    damping: Annotated[Damping, DAMPING]
 
-    def __init__(self, mass: Values, stiffness: Values, damping: Damping, **springs: Values):
-        self.mass = as_vector(mass, "mass", "kg")
-        self.stiffness = as_vector(stiffness, "stiffness", "N/m")
-        if not isinstance(damping, Damping):
-            raise TypeError(
-                f"`damping` must be a Damping, got {type(damping).__name__}. "
-                "Pass RayleighDamping(alpha, beta) or ModalDamping(ratios)."
-            )
-        self.damping = damping
-        lengths = {static_length(v) for v in (self.mass, self.stiffness)} - {None}
-        if len(lengths) > 1:
-            raise ValueError(
-                f"`mass` and `stiffness` must have the same length, got {static_length(self.mass)} "
-                f"masses and {static_length(self.stiffness)} springs."
-            )
-        if not lengths:
+    has_storeys = True
+
+    def __post_init__(self):
+        super().__post_init__()
+        masses, springs = static_length(self.mass), static_length(self.stiffness)
+        if masses is None and springs is None:
             raise ValueError(
                 "`mass` or `stiffness` must have a known length, got none. "
                 "Pass one of them as an array of n values, or declare it with shape=n, or with dims that the "
                 "model has coords for."
             )
-        self._n_dof = lengths.pop()
-        self.damping.coefficients(self._n_dof)
-        self.take(**springs)
-        self.springs = tuple(springs)
-        for name in springs:
-            if static_length(getattr(self, name)) not in (None, self.n_dof):
-                raise ValueError(
-                    f"`{name}` must have one value or one for each of the {self.n_dof} springs, "
-                    f"got {static_length(getattr(self, name))}."
-                )
+        if None not in (masses, springs) and masses != springs:
+            raise ValueError(
+                f"`mass` and `stiffness` must have the same length, got {masses} masses and {springs} "
+                "springs."
+            )
+        self.damping.coefficients(self.n_dof)
+        for name in self.springs:
+            check_length(getattr(self, name), name, self.n_dof, "springs")
 
     def __repr__(self):
         return f"{type(self).__name__}({self.n_dof} masses, {self.damping!r})"
 
     @property
+    def springs(self) -> list[str]:
+        """Names of what springs have besides their stiffness."""
+        _, _, _, *more = (field.name for field in fields(self))
+        return more
+
+    @property
     def n_dof(self) -> int:
-        return self._n_dof
+        masses = static_length(self.mass)
+        return static_length(self.stiffness) if masses is None else masses
 
     def parameters(self) -> tuple:
         """Return `linear_parameters`, and what else the springs have as one table (rows, n)."""
@@ -111,12 +118,8 @@ class Chain(Structure):
                 f"`springs` must be different numbers from 0 to {self.n_dof - 1}, "
                 f"got {springs.tolist()}. Spring 0 is next to the base."
             )
-        factor = as_vector(factor, "factor", "multiples of the present stiffness")
-        if static_length(factor) not in (None, springs.size):
-            raise ValueError(
-                f"`factor` must have one value or one for each of the {springs.size} springs, "
-                f"got {static_length(factor)}."
-            )
+        factor = as_vector(factor, "factor", "Pass multiples of the present stiffness.")
+        check_length(factor, "factor", springs.size, "springs")
         stiffness = spread(self.stiffness, self.n_dof)
         if isinstance(factor, Variable) or isinstance(stiffness, Variable):
             chosen = (np.arange(self.n_dof)[:, None] == springs).astype(float)
@@ -178,6 +181,7 @@ class Chain(Structure):
         return Modes(omega, shapes, mass @ shapes, zeta)
 
 
+@described
 class SpringMassChain(Chain):
     """Masses in a row, each joined to the one below by a spring, the first to the moving base.
 
@@ -211,9 +215,6 @@ class SpringMassChain(Chain):
 
     family = "chain"
 
-    def __init__(self, mass: Values, stiffness: Values, damping: Damping):
-        super().__init__(mass, stiffness, damping)
-
     def as_linear(self) -> AffineStructure:
         """Return the same structure by its matrices; its theta are the masses, then the springs."""
         n = self.n_dof
@@ -230,6 +231,7 @@ class SpringMassChain(Chain):
         )
 
 
+@described
 class DuffingChain(Chain):
     """A spring-mass chain whose springs have the force f = k d + c d^3, with the drift d.
 
@@ -259,14 +261,13 @@ class DuffingChain(Chain):
     array([ 6.18034, 16.18034])
     """
 
+    cubic: Annotated[Values, vector("N/m^3", NOT_NEGATIVE)]
+
     family = "duffing"
     is_linear = False
-    inputs = Chain.inputs | {"cubic": vector("N/m^3", NOT_NEGATIVE)}
-
-    def __init__(self, mass: Values, stiffness: Values, damping: Damping, cubic: Values):
-        super().__init__(mass, stiffness, damping, cubic=cubic)
 
 
+@described
 class HystereticChain(Chain):
     """A spring-mass chain with Bouc-Wen springs.
 
@@ -326,43 +327,18 @@ class HystereticChain(Chain):
     HystereticChain(2 masses, ModalDamping(0.02))
     """
 
+    _: KW_ONLY
+    yield_displacement: Annotated[Values, vector("m")]
+    post_yield_ratio: Annotated[Values, vector("-", SHARE, RATIO)]
+    sharpness: Annotated[Values, vector("-", AT_LEAST_ONE, SHARPNESS)] = 2.0
+    beta: Annotated[Values, vector("-", POSITIVE, NUMERIC)] = 0.5
+    gamma: Annotated[Values, vector("-", NOT_NEGATIVE, NUMERIC)] = 0.5
+
     family = "hysteretic"
     is_linear = False
-    inputs = Chain.inputs | {
-        "yield_displacement": vector("m"),
-        "post_yield_ratio": vector("-", NOT_NEGATIVE, "fractions of the initial stiffness"),
-        "sharpness": vector("-", words="plain numbers, 1 or more"),
-        "beta": vector("-", words="plain numbers"),
-        "gamma": vector("-", NOT_NEGATIVE, "plain numbers"),
-    }
 
-    def __init__(
-        self,
-        mass: Values,
-        stiffness: Values,
-        damping: Damping,
-        *,
-        yield_displacement: Values,
-        post_yield_ratio: Values,
-        sharpness: Values = 2.0,
-        beta: Values = 0.5,
-        gamma: Values = 0.5,
-    ):
-        super().__init__(
-            mass,
-            stiffness,
-            damping,
-            yield_displacement=yield_displacement,
-            post_yield_ratio=post_yield_ratio,
-            sharpness=sharpness,
-            beta=beta,
-            gamma=gamma,
-        )
-        check_yielding(
-            self,
-            "Pass post-yield over initial stiffness; use `DuffingChain` for springs that harden.",
-            "Pass 1 to 3 for gradual yielding, 20 or more for a nearly bilinear spring.",
-        )
+    def __post_init__(self):
+        super().__post_init__()
         if is_numeric(self.beta) and is_numeric(self.gamma) and (self.gamma > self.beta).any():
             beta, gamma = np.broadcast_arrays(self.beta, self.gamma)
             wrong = np.flatnonzero(np.atleast_1d(gamma > beta))[0]
@@ -370,12 +346,3 @@ class HystereticChain(Chain):
                 f"`gamma` must not exceed `beta`, got {gamma.flat[wrong]:g} and {beta.flat[wrong]:g}. "
                 "Loops would produce energy; in this notation `beta` goes with sign(d' z)."
             )
-
-
-def check_yielding(springs, of_ratio: str, of_sharpness: str) -> None:
-    """Refuse numbers out of range, of chains and of specimens, with advice."""
-    ratio, sharpness = springs.post_yield_ratio, springs.sharpness
-    if is_numeric(ratio) and np.max(ratio) > 1.0:
-        raise ValueError(f"`post_yield_ratio` must lie between 0 and 1, got {np.max(ratio):g}. {of_ratio}")
-    if is_numeric(sharpness) and np.min(sharpness) < 1.0:
-        raise ValueError(f"`sharpness` must be at least 1, got {np.min(sharpness):g}. {of_sharpness}")

@@ -1,28 +1,29 @@
 """Classical damping: Rayleigh, Eq. (19), or a ratio for each mode."""
 
 from abc import ABC, abstractmethod
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 from pytensor.graph.basic import Variable
 
-from pymc_features._checks import as_numbers, shown
+from pymc_features._checks import message, shown
 from pymc_features.structures.base import (
     NOT_NEGATIVE,
     Described,
     Values,
     as_vector,
+    check_length,
+    described,
     holds_variables,
     scalar,
     spread,
-    static_length,
     unpacked,
     vector,
 )
 
-RATIO = "fractions of critical damping"
+RATIO = "Pass values in fractions of critical damping."
 
 
 class Damping(Described, ABC):
@@ -33,6 +34,7 @@ class Damping(Described, ABC):
         """Return the Rayleigh pair (2,) [1/s, s] and the added modal ratios (n,) [-]."""
 
 
+@described
 class RayleighDamping(Damping):
     """Rayleigh damping C = alpha M + beta K, Eq. (19).
 
@@ -50,10 +52,8 @@ class RayleighDamping(Damping):
     0.201062 0.001273
     """
 
-    inputs = {"alpha": scalar("1/s", NOT_NEGATIVE), "beta": scalar("s", NOT_NEGATIVE)}
-
-    def __init__(self, alpha: float | Variable, beta: float | Variable):
-        self.take(alpha=alpha, beta=beta)
+    alpha: Annotated[float | Variable, scalar("1/s", NOT_NEGATIVE)]
+    beta: Annotated[float | Variable, scalar("s", NOT_NEGATIVE)]
 
     def __repr__(self):
         return f"RayleighDamping(alpha={self.alpha}, beta={self.beta})"
@@ -84,13 +84,11 @@ class RayleighDamping(Damping):
                 "ratio zeta pass RayleighDamping(zeta * unit.alpha, zeta * unit.beta), with "
                 "unit = RayleighDamping.from_ratios(1.0, natural_frequencies)."
             )
-        frequencies = as_numbers(natural_frequencies, "natural_frequencies", "Pass two frequencies in Hz.")
-        legal = frequencies.shape == (2,) and np.isfinite(frequencies).all() and (frequencies > 0).all()
-        if not legal or np.ptp(frequencies) == 0:
-            raise ValueError(
-                f"`natural_frequencies` must be two different positive values, got "
-                f"{shown(natural_frequencies)}. Pass the two frequencies in Hz."
-            )
+        advice = "Pass two frequencies in Hz."
+        frequencies = as_vector(natural_frequencies, "natural_frequencies", advice)
+        if frequencies.shape != (2,) or np.ptp(frequencies) == 0:
+            got = shown(natural_frequencies)
+            raise ValueError(message("natural_frequencies", "two different positive values", got, advice))
         zeta = as_vector(ratios, "ratios", RATIO, NOT_NEGATIVE)
         if zeta.shape not in ((), (1,), (2,)):
             raise ValueError(f"`ratios` must be one value or one for each frequency, got {zeta.size}.")
@@ -112,6 +110,7 @@ class RayleighDamping(Damping):
         return pair, np.zeros(n)
 
 
+@described
 class ModalDamping(Damping):
     """A damping ratio for each mode.
 
@@ -121,16 +120,11 @@ class ModalDamping(Damping):
         zeta_r [-], not negative, in ascending order of frequency; one value stands for all modes.
     """
 
-    inputs = {"ratios": vector("-", NOT_NEGATIVE, RATIO)}
-
-    def __init__(self, ratios: Values):
-        self.take(ratios=ratios)
+    ratios: Annotated[Values, vector("-", NOT_NEGATIVE, RATIO)]
 
     def __repr__(self):
         return f"ModalDamping({self.ratios})"
 
     def coefficients(self, n: int) -> tuple:
-        length = static_length(self.ratios)
-        if length not in (None, n):
-            raise ValueError(f"`ratios` must have one value or one for each of the {n} modes, got {length}.")
+        check_length(self.ratios, "ratios", n, "modes")
         return np.zeros(2), spread(self.ratios, n)

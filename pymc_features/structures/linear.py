@@ -169,10 +169,8 @@ class LinearStructure(Structure):
         self.damping = damping
         if not isinstance(damping, Damping):
             if isinstance(damping, Variable | str) or damping is None or callable(damping):
-                raise TypeError(
-                    f"`damping` must be a matrix or a Damping, got {type(damping).__name__}. "
-                    "Pass C in N s/m, RayleighDamping(alpha, beta) or ModalDamping(ratios)."
-                )
+                got, advice = type(damping).__name__, DAMPING_OR_MATRIX.advice
+                raise TypeError(message("damping", "a matrix or a Damping", got, advice))
             constants[1] = as_matrix(damping, "damping", "N s/m", n=n, symmetric=False)
         kind, pattern = to_dense, None
         if sparse.issparse(stiffness):
@@ -188,24 +186,20 @@ class LinearStructure(Structure):
             self._coefficients()
 
     def _install(self, theta):
-        """Set the coefficients, and where they are numbers the matrices, checked."""
-        self.theta = theta
-        self._modes = {}
-        if isinstance(theta, Variable):
-            masses, dampings, stiffnesses = (None if a is None else a.matrices() for a in self._terms)
-            check_connected(*(a and sum(map(abs, a)) for a in (masses, dampings, stiffnesses)))
-            self._massless = always_massless(masses)
-            if dampings is not None:
-                check_static_damping(dampings, stiffnesses, self._massless)
-            return
-        mass, damping, stiffness = (None if a is None else a.at(theta) for a in self._terms)
-        check_connected(mass, damping, stiffness)
-        self._massless = check_mass(mass)
-        self._factor = check_stiffness(mass, stiffness, self._massless)
-        if damping is not None:
-            check_static_damping([damping], [stiffness], self._massless)
-            check_damping(mass, damping, stiffness, self._massless)
-        self._matrices = mass, damping, stiffness
+        """Set the coefficients, and check the matrices, or of variables what all of their matrices share."""
+        self.theta, self._modes, is_random = theta, {}, isinstance(theta, Variable)
+        masses, dampings, stiffnesses = (
+            None if a is None else a.matrices() if is_random else [a.at(theta)] for a in self._terms
+        )
+        check_connected(*(a and sum(map(abs, a)) for a in (masses, dampings, stiffnesses)))
+        self._massless = always_massless(masses) if is_random else check_mass(*masses)
+        if not is_random:
+            self._factor = check_stiffness(*masses, *stiffnesses, self._massless)
+            self._matrices = masses[0], dampings and dampings[0], stiffnesses[0]
+        if dampings is not None:
+            check_static_damping(dampings, stiffnesses, self._massless)
+            if not is_random:
+                check_damping(*masses, *dampings, *stiffnesses, self._massless)
 
     def __getstate__(self):
         """Copies and workers make the factor anew: SciPy's cannot be pickled."""

@@ -13,15 +13,17 @@ from pymc_features._checks import as_array, as_numbers, check_finite, message
 from pymc_features.algebra import (
     Massless,
     condense,
-    is_definite,
+    definite_factor,
     massless_motions,
     shifted_factor,
     softest_motion,
     spectral_shift,
+    to_dense,
 )
 
 type MatrixLike = ArrayLike | sparse.sparray | sparse.spmatrix
 
+UNITS = {"mass": "kg", "damping": "N s/m", "stiffness": "N/m"}
 SYMMETRY = 1e-10  # largest difference between A and A' over the largest entry that counts as rounding
 PROPORTIONAL = 1e-10  # the same, between damping and a multiple of the stiffness
 LOST = 1e-13  # of the largest stiffness over mass: eigenvalues below were wrong by 0.3 %, all below 1e-15
@@ -48,36 +50,27 @@ def as_matrix(value, name: str, unit: str, *, n: int | None = None, symmetric: b
     matrix = _numbers(value, name, unit)
     if matrix.ndim == 1 and matrix.size:
         matrix = sparse.csc_array(sparse.diags_array(matrix)) if thin else np.diag(matrix)
+    advice = "Give one row and one column for each degree of freedom."
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:
-        raise ValueError(
-            f"`{name}` must be a square matrix, got shape {matrix.shape}. "
-            "Give one row and one column for each degree of freedom."
-        )
+        raise ValueError(message(name, "a square matrix", f"shape {matrix.shape}", advice))
     if n not in (None, matrix.shape[0]):
-        raise ValueError(
-            f"`{name}` must have shape ({n}, {n}) to match `stiffness`, got {matrix.shape}. "
-            "Give one row and one column for each degree of freedom."
-        )
+        what = f"`{name}` must have shape ({n}, {n}) to match `stiffness`"
+        raise ValueError(f"{what}, got {matrix.shape}. {advice}")
     if not np.isfinite(matrix.data if sparse.issparse(matrix) else matrix).all():
         raise ValueError(message(name, "finite", "NaN or infinity", f"Pass entries in {unit}."))
     return _symmetrised(matrix, name) if symmetric else matrix
 
 
 def _numbers(value, name, unit):
-    try:
-        if sparse.issparse(value):
-            if np.issubdtype(value.dtype, np.complexfloating):
-                raise TypeError
-            return sparse.csc_array(value, dtype=np.float64, copy=True)
-        matrix = as_array(value)
-        if matrix.dtype.kind not in "iuf":
-            raise TypeError
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"`{name}` must be a matrix of real numbers, got {type(value).__name__}. "
+    matrix = value if sparse.issparse(value) else as_array(value)
+    if matrix.dtype.kind not in "iuf":
+        advice = (
             f"Pass an array or a SciPy sparse matrix in {unit}; what is random goes into the `theta` of an "
             "AffineStructure."
-        ) from None
+        )
+        raise TypeError(message(name, "a matrix of real numbers", type(value).__name__, advice))
+    if sparse.issparse(matrix):
+        return sparse.csc_array(matrix, dtype=np.float64, copy=True)
     return matrix.astype(np.float64)
 
 
@@ -97,9 +90,7 @@ def _symmetrised(matrix, name):
 
 def as_influence(value, n: int) -> np.ndarray:
     """Return displacements (n,) or (n, supports) under unit displacements of the supports, checked."""
-    if value is None:
-        value = np.ones(n)
-    value = value.toarray() if sparse.issparse(value) else value
+    value = np.ones(n) if value is None else to_dense(value)
     influence = as_numbers(value, "influence", "Pass displacement ratios [-]; they cannot be random.")
     if influence.ndim not in (1, 2) or influence.shape[0] != n or influence.size == 0:
         raise ValueError(
@@ -142,12 +133,14 @@ def check_static(stiffness, massless: Massless) -> None:
 
 def named(dofs) -> str:
     """The first of some degrees of freedom, in words."""
-    first = [str(i) for i in dofs[:FEW]]
-    if len(dofs) > FEW:
-        return f"degrees of freedom {', '.join(first)} and {len(dofs) - FEW} others"
-    if len(first) == 1:
-        return f"degree of freedom {first[0]}"
-    return f"degrees of freedom {', '.join(first[:-1])} and {first[-1]}"
+    shown = dofs if len(dofs) <= FEW else [*dofs[:FEW], f"{len(dofs) - FEW} others"]
+    return f"degree{'s' if len(dofs) > 1 else ''} of freedom {in_words(shown)}"
+
+
+def in_words(names) -> str:
+    """Names with commas and an "and"."""
+    *rest, last = map(str, names)
+    return f"{', '.join(rest)} and {last}" if rest else last
 
 
 def check_stiffness(mass, stiffness, massless: Massless):
@@ -191,7 +184,7 @@ def check_damping(mass, damping, stiffness, massless: Massless) -> None:
     raised = symmetric + spectral_shift(mass, symmetric) * mass
     if massless.dofs.size:  # where nothing but the stiffness need be there
         raised = raised + spectral_shift(stiffness, symmetric) * stiffness
-    if not is_definite(raised):
+    if definite_factor(raised) is None:
         raise ValueError(
             "`damping` must not feed energy into any motion, got a matrix whose symmetric part has a "
             "negative eigenvalue. Check the signs of the dashpots."

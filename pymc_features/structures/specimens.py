@@ -1,6 +1,7 @@
 """The specimen of a cyclic test, a hysteretic spring at a given displacement, and what cycles do to it."""
 
-from typing import NoReturn
+from dataclasses import KW_ONLY
+from typing import Annotated, NoReturn
 
 import numpy as np
 import pytensor.tensor as pt
@@ -8,20 +9,25 @@ from pytensor.graph.basic import Variable
 
 from pymc_features.records import DynamicLoad
 from pymc_features.structures.base import (
+    AT_LEAST_ONE,
     FINITE,
     NOT_NEGATIVE,
+    NUMERIC,
+    POSITIVE,
+    SHARE,
     Described,
     Input,
     Kind,
     Structure,
+    described,
     is_numeric,
     scalar,
 )
-from pymc_features.structures.chains import check_yielding
+from pymc_features.structures.chains import SHARPNESS
 
 type Value = float | Variable
 
-PLAIN = "plain numbers"
+LEFT_OUT = "Leave it out for none."
 NO_MASS = (
     "`structure` must have masses for this, got a HystereticSpecimen. It has a force under a prescribed "
     "displacement, and neither matrices nor modes."
@@ -31,15 +37,16 @@ NO_MASS = (
 class Deterioration(Described):
     """Base: numbers or variables by name, in the order of the kernels."""
 
-    def values(self) -> tuple[Value, ...]:
+    def values(self) -> list[Value]:
         """The parameters, in their order."""
-        return tuple(getattr(self, name) for name in self.inputs)
+        return [getattr(self, name) for name in self.inputs]
 
     def __repr__(self):
-        listed = ", ".join(f"{name}={value}" for name, value in zip(self.inputs, self.values(), strict=True))
+        listed = ", ".join(f"{name}={getattr(self, name)}" for name in self.inputs)
         return f"{type(self).__name__}({listed})"
 
 
+@described
 class Degradation(Deterioration):
     """Degradation of strength and stiffness with the energy that a spring has dissipated.
 
@@ -60,15 +67,11 @@ class Degradation(Deterioration):
     T. T. Baber & Y.-K. Wen, J. Eng. Mech. Div. ASCE 107 (1981) 1069-1087.
     """
 
-    inputs = {
-        "strength": scalar("-", NOT_NEGATIVE, PLAIN),
-        "stiffness": scalar("-", NOT_NEGATIVE, PLAIN),
-    }
-
-    def __init__(self, strength: Value = 0.0, stiffness: Value = 0.0):
-        self.take(strength=strength, stiffness=stiffness)
+    strength: Annotated[Value, scalar("-", NOT_NEGATIVE, NUMERIC)] = 0.0
+    stiffness: Annotated[Value, scalar("-", NOT_NEGATIVE, NUMERIC)] = 0.0
 
 
+@described
 class Pinching(Deterioration):
     """Pinching of loops: near a small force the spring slips, more so the more energy it has dissipated.
 
@@ -98,33 +101,23 @@ class Pinching(Deterioration):
     1013-1022, with these functions.
     """
 
-    inputs = {
-        "slip": scalar("-", NOT_NEGATIVE, PLAIN),
-        "rate": scalar("-", NOT_NEGATIVE, PLAIN),
-        "initiation": scalar("-", NOT_NEGATIVE, PLAIN),
-        "spread": scalar("-", words=PLAIN),
-        "spread_rate": scalar("-", NOT_NEGATIVE, PLAIN),
-        "severity": scalar("-", words=PLAIN),
-    }
+    slip: Annotated[Value, scalar("-", NOT_NEGATIVE, NUMERIC)]
+    rate: Annotated[Value, scalar("-", NOT_NEGATIVE, NUMERIC)] = 1.0
+    _: KW_ONLY
+    initiation: Annotated[Value, scalar("-", NOT_NEGATIVE, NUMERIC)] = 0.1
+    spread: Annotated[Value, scalar("-", POSITIVE, NUMERIC)] = 0.2
+    spread_rate: Annotated[Value, scalar("-", NOT_NEGATIVE, NUMERIC)] = 0.0
+    severity: Annotated[Value, scalar("-", POSITIVE, NUMERIC)] = 0.3
 
-    def __init__(
-        self,
-        slip: Value,
-        rate: Value = 1.0,
-        *,
-        initiation: Value = 0.1,
-        spread: Value = 0.2,
-        spread_rate: Value = 0.0,
-        severity: Value = 0.3,
-    ):
-        self.take(slip=slip, rate=rate, initiation=initiation)
-        self.take(spread=spread, spread_rate=spread_rate, severity=severity)
+    def __post_init__(self):
+        super().__post_init__()
         if is_numeric(self.slip) and self.slip >= 1.0:
             raise ValueError(
                 f"`slip` must be below 1, got {self.slip:g}. With 1 a spring would slip without force."
             )
 
 
+@described
 class HystereticSpecimen(Structure):
     """A Bouc-Wen spring that degrades and is pinched, under a prescribed displacement.
 
@@ -195,44 +188,23 @@ class HystereticSpecimen(Structure):
     array([0.      , 0.632121, 0.864665])
     """
 
+    stiffness: Annotated[Value, scalar("N/m")]
+    _: KW_ONLY
+    yield_displacement: Annotated[Value, scalar("m")]
+    post_yield_ratio: Annotated[Value, scalar("-", SHARE, "Pass post-yield over initial stiffness.")]
+    sharpness: Annotated[Value, scalar("-", AT_LEAST_ONE, SHARPNESS)] = 2.0
+    beta: Annotated[Value, scalar("-", POSITIVE, NUMERIC)] = 0.5
+    gamma: Annotated[Value, scalar("-", FINITE, NUMERIC)] = 0.5
+    degradation: Annotated[Degradation | None, Input(Kind.DEGRADATION, advice=LEFT_OUT)] = None
+    pinching: Annotated[Pinching | None, Input(Kind.PINCHING, advice=LEFT_OUT)] = None
+
     family = "specimen"
     is_linear = False
-    inputs = {
-        "stiffness": scalar("N/m"),
-        "yield_displacement": scalar("m"),
-        "post_yield_ratio": scalar("-", NOT_NEGATIVE, "fractions of the initial stiffness"),
-        "sharpness": scalar("-", words="plain numbers, 1 or more"),
-        "beta": scalar("-", words=PLAIN),
-        "gamma": scalar("-", FINITE, PLAIN),
-        "degradation": Input(Kind.DEGRADATION),
-        "pinching": Input(Kind.PINCHING),
-    }
 
-    def __init__(
-        self,
-        stiffness: Value,
-        *,
-        yield_displacement: Value,
-        post_yield_ratio: Value,
-        sharpness: Value = 2.0,
-        beta: Value = 0.5,
-        gamma: Value = 0.5,
-        degradation: Degradation | None = None,
-        pinching: Pinching | None = None,
-    ):
-        self.take(stiffness=stiffness, yield_displacement=yield_displacement)
-        self.take(post_yield_ratio=post_yield_ratio, sharpness=sharpness, beta=beta, gamma=gamma)
-        for name, value, kind in (
-            ("degradation", degradation, Degradation),
-            ("pinching", pinching, Pinching),
-        ):
-            if not isinstance(value, kind | None):
-                raise TypeError(
-                    f"`{name}` must be a {kind.__name__}, got {type(value).__name__}. Leave it out for none."
-                )
-        self.degradation = Degradation() if degradation is None else degradation
-        self.pinching = Pinching(0.0) if pinching is None else pinching
-        check_yielding(self, "Pass post-yield over initial stiffness.", "Pass 1 to 3 for gradual yielding.")
+    def __post_init__(self):
+        super().__post_init__()
+        self.degradation = self.degradation or Degradation()
+        self.pinching = self.pinching or Pinching(0.0)
         if is_numeric(self.beta) and is_numeric(self.gamma) and not -self.beta < self.gamma <= self.beta:
             raise ValueError(
                 f"`gamma` must lie above -beta and not exceed beta = {self.beta:g}, got {self.gamma:g}. "
@@ -248,7 +220,7 @@ class HystereticSpecimen(Structure):
 
     def parameters(self) -> tuple:
         """All fourteen as one vector, in the order of the kernels."""
-        loops = [getattr(self, name) for name in self.inputs if name not in ("degradation", "pinching")]
+        *loops, _, _ = (getattr(self, name) for name in self.inputs)
         values = [*loops, *self.degradation.values(), *self.pinching.values()]
         if all(map(is_numeric, values)):
             return (np.array(values),)
@@ -264,7 +236,6 @@ class HystereticSpecimen(Structure):
 
     def excitation(self, record: DynamicLoad) -> np.ndarray:
         """Return the displacement (time,) [m]."""
-        self.check_load(record)
         return record.inputs[0]
 
     def matrices(self) -> NoReturn:

@@ -57,7 +57,7 @@ def chain(theta: float | Variable = 1.0, *, stiffness: float = STIFFNESS) -> Spr
     array([1.01, 3.01, 4.93])
     """
     nominal = SpringMassChain(np.full(N_STOREYS, MASS), stiffness, DAMPING)
-    theta = as_vector(theta, "theta", "multiples of the nominal stiffness")
+    theta = as_vector(theta, "theta", "Pass multiples of the nominal stiffness.")
     return nominal.scale_stiffness(theta, springs=UNCERTAIN_SPRINGS)
 
 

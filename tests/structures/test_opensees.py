@@ -114,7 +114,7 @@ def test_models_by_name():
 
 def test_large_models_are_sparse(monkeypatch):
     expected = frame().modes(4).angular_frequencies
-    monkeypatch.setattr("pymc_features.structures.programs.MOST_DENSE", 44)
+    monkeypatch.setattr("pymc_features.structures.terms.MOST_DENSE", 44)
     structure = frame()
     assert sparse.issparse(structure.stiffness) and structure.stiffness.nnz < 45 * 45 / 3
     np.testing.assert_allclose(structure.modes(4).angular_frequencies, expected, rtol=1e-9)

@@ -1,5 +1,7 @@
 """Chains and damping: closed forms, a general eigen-solver, the source's numbers, and every refusal."""
 
+import inspect
+
 import numpy as np
 import pytensor.tensor as pt
 import pytest
@@ -16,7 +18,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.simulators import FAMILIES
-from pymc_features.structures import STRUCTURES, Structure
+from pymc_features.structures import DAMPINGS, STRUCTURES, HystereticSpecimen, Structure
 from support.graphs import PLAIN
 from support.refusals import refusals
 
@@ -195,6 +197,13 @@ def test_every_linear_structure_of_the_catalogue(kind):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
     pulse = Record([0.0, 1.0, -2.0, 0.5, 0.0, 0.0], 0.05)
     np.testing.assert_allclose(simulate(structure, pulse), simulate(expected, pulse), atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [*CHAINS, *DAMPINGS, HystereticSpecimen])
+def test_signatures_show_types_alone(kind):
+    """Units and ranges of the arguments stand in `inputs` and in the docstring."""
+    assert set(kind.inputs) == set(inspect.signature(kind).parameters)
+    assert "Annotated" not in str(inspect.signature(kind))
 
 
 def test_does_not_share_memory_with_what_was_passed():
