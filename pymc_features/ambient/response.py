@@ -16,8 +16,8 @@ from pymc.distributions.distribution import Continuous, SymbolicRandomVariable
 from pymc.logprob.abstract import _logprob
 from pymc.pytensorf import normalize_rng_param
 from pytensor.graph.basic import Apply, Constant, Variable
-from pytensor.graph.op import Op
 from pytensor.tensor import TensorLike, TensorVariable
+from pytensor.tensor.linalg import cholesky
 from scipy import sparse
 
 from pymc_features._checks import (
@@ -32,18 +32,18 @@ from pymc_features._checks import (
     warn_caller,
 )
 from pymc_features.ambient.bands import (
-    BandHistories,
     Bands,
     BandTransform,
     band_histories,
     checked_bands,
     transfer_functions,
 )
-from pymc_features.ambient.operations import ModalFactor, ModalFactorGradient, SpectralGradient, SpectralLogp
+from pymc_features.ambient.operations import SpectralLogp
 from pymc_features.exceptions import AmbientWarning
 from pymc_features.modal import modes
 from pymc_features.modal.structural_modes import picked_outputs
 from pymc_features.ops import as_tensor, by_labels, known_dims
+from pymc_features.ops.arrays import ArrayOp
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.response import response as known_response
 from pymc_features.records import Loading, Record
@@ -191,31 +191,27 @@ def in_bands(value: TensorVariable, name: str, n_bands: int, columns: int | None
 def modal_factor(patterns: TensorVariable, density: TensorVariable) -> TensorVariable:
     """L (b, m, r, 2) with L L' = P diag(S) P', for patterns P (m, r) and spectral densities S (b, r).
 
-    Of more forces than modes, L is the Cholesky factor (b, m, m).
+    Of more forces than modes, L is the Cholesky factor (b, m, m); NaN where there is none.
     """
     m, r = patterns.type.shape
     if m is None or r is None or r <= m:
         factor = patterns[None] * pt.sqrt(density)[:, None, :]
     else:
-        factor = ModalFactor()(patterns, density)
+        factor = cholesky(pt.matmul(patterns[None] * density[:, None, :], patterns.T))
     return pt.stack([factor, pt.zeros_like(factor)], axis=-1)
 
 
-class AmbientHistories(Op):
+class AmbientHistories(ArrayOp):
     """Histories (s, t) whose transforms in some bands have the covariance E_k, from standard normal numbers.
 
     Inputs are those of `AmbientResponseRV`, and normal numbers (2, k, r) of forces and (s, 2, k) of errors.
     """
 
-    __props__ = ()
     gufunc_signature = f"{PARTS},(s,t),(k),(k),(k),(e),(),(c,k,r),(s,c,k)->(s,t)"
 
     def make_node(self, *inputs):
         inputs = [pt.as_tensor_variable(x) for x in inputs]
         return Apply(self, inputs, [pt.tensor(dtype="float64", shape=inputs[5].type.shape)])
-
-    def perform(self, node, inputs, output_storage):
-        [output_storage[0][0]] = self.run(inputs)
 
     def infer_shape(self, node, shapes):
         return [shapes[5]]
@@ -279,15 +275,7 @@ def ambient_logprob(op, values, rng, *inputs, **kwargs):
     return logp(natural, ratios, shapes, factor, error, spectra, frequencies, weights, gains, starts)
 
 
-run_in_python(
-    SpectralLogp,
-    SpectralGradient,
-    BandTransform,
-    BandHistories,
-    AmbientHistories,
-    ModalFactor,
-    ModalFactorGradient,
-)
+run_in_python(AmbientHistories)
 
 
 class AmbientResponse(Continuous):

@@ -8,9 +8,7 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
-from pytensor.gradient import disconnected_type
 from pytensor.graph.basic import Apply, Constant
-from pytensor.graph.op import Op
 from pytensor.tensor import TensorLike, TensorVariable
 
 from pymc_features._checks import (
@@ -35,6 +33,7 @@ from pymc_features.modal.transfer import (
     without_rest,
 )
 from pymc_features.ops import as_tensor
+from pymc_features.ops.arrays import RowOp
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.population import take_batches
 from pymc_features.simulators.request import picked_by_name
@@ -47,7 +46,6 @@ IN_PEAK = 3.0  # lines of Hann segments in a half-power width: with 2.4 damping 
 POOR = 1.2  # mean square of residuals over their variance, above which lines alone are warned of
 CLOSE, ALIKE = 0.01, 0.03  # errors of ln f and shapes that modes are matched with, where the model has less
 SIGNATURE = "(m),(m),(m,s),(e),(n,k),(d,q),(e,d,d),()->(d)"
-NDIMS = 1, 1, 2, 1, 2, 2, 3, 0, 1  # of the inputs of `TransferLogp`
 
 
 class FrequencyResponse:
@@ -357,7 +355,7 @@ def misfit_of(frequencies, ratios, shapes, sigmas, q_0, root, parts, n_out) -> M
     return Misfit(match, scaled, factors, z, covariance)
 
 
-class TransferLogp(Op):
+class TransferLogp(RowOp):
     """Log-likelihood of the measured modes, and its gradient by what the model gives.
 
     Inputs are frequencies (m,) [Hz], damping ratios (m,) and shapes (m, s) of the model, the errors (3,) of
@@ -365,54 +363,24 @@ class TransferLogp(Op):
     responses, and the data (d,), zero.
     """
 
-    __props__ = ()
+    ndims = 1, 1, 2, 1
+    n_slopes = n_connected = len(ndims)
     simulates = True
 
     def make_node(self, *inputs):
         inputs = [pt.as_tensor_variable(x) for x in inputs]
-        rows = (None,) * max(x.ndim - ndim for x, ndim in zip(inputs, NDIMS, strict=True))
-        shapes = [(), *(x.type.shape[x.ndim - ndim :] for x, ndim in zip(inputs[:4], NDIMS, strict=False))]
-        return Apply(self, inputs, [pt.tensor(dtype="float64", shape=(*rows, *shape)) for shape in shapes])
+        return Apply(self, inputs, self.outputs(inputs))
 
-    def perform(self, node, inputs, output_storage):
-        for storage, result in zip(output_storage, self.run(inputs), strict=True):
-            storage[0] = result
-
-    def run(self, inputs) -> tuple[np.ndarray, ...]:
-        """Log-likelihoods and gradients for arrays."""
-        batch = np.broadcast_shapes(*(x.shape[: x.ndim - d] for x, d in zip(inputs[:4], NDIMS, strict=False)))
-        arrays = [
-            np.broadcast_to(x, batch + x.shape[x.ndim - d :]).reshape(-1, *x.shape[x.ndim - d :])
-            for x, d in zip(inputs[:4], NDIMS, strict=False)
-        ]
-        results = logp_and_gradient(*arrays, *inputs[4:])
-        return tuple(x.reshape((*batch, *x.shape[1:])) for x in results)
-
-    def infer_shape(self, node, shapes):
-        rows = [shape[: len(shape) - d] for shape, d in zip(shapes[:4], NDIMS, strict=False)]
-        batch = pt.broadcast_shape(*rows, arrays_are_shapes=True) if any(rows) else ()
-        return [
-            (*batch, *core)
-            for core in [(), *(s[len(s) - d :] for s, d in zip(shapes[:4], NDIMS, strict=False))]
-        ]
-
-    def connection_pattern(self, node):
-        """What the model gives counts."""
-        return [[i < 4] * 5 for i in range(len(node.inputs))]
+    def of_rows(self, rows, constants, n) -> tuple[np.ndarray, ...]:
+        """Log-likelihoods (n,) and gradients."""
+        return logp_and_gradient(*(np.broadcast_to(x, (n, *x.shape[1:])) for x in rows), *constants)
 
     def pullback(self, inputs, outputs, cotangents):
         """By the other outputs."""
-        [weight, *_] = cotangents
-        gradients = []
-        for x, slope in zip(inputs[:4], outputs[1:], strict=True):
-            whole = weight.dimshuffle(*range(weight.ndim), *["x"] * (slope.ndim - weight.ndim)) * slope
-            gradients.append(
-                whole.sum(axis=tuple(range(slope.ndim - x.ndim))) if slope.ndim > x.ndim else whole
-            )
-        return [*gradients, *(disconnected_type() for _ in inputs[4:])]
+        return self.pulled_back(cotangents[0], inputs, outputs[1:])
 
 
-take_batches(TransferLogp, first=4)
+take_batches(TransferLogp, first=TransferLogp.n_slopes)
 run_in_python(TransferLogp)
 
 
