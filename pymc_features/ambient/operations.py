@@ -1,4 +1,4 @@
-"""Ops of the spectral likelihood: its value and its gradient."""
+"""Ops of the spectral likelihood: its value and gradient, and the factor of the spectra of forces."""
 
 import numpy as np
 import pytensor.tensor as pt
@@ -7,7 +7,7 @@ from pytensor.graph.basic import Apply
 from pytensor.graph.rewriting.basic import node_rewriter
 from pytensor.tensor.rewriting.basic import register_specialize
 
-from pymc_features.ops.arrays import RowOp
+from pymc_features.ops.arrays import ArrayOp, RowOp
 from pymc_features.ops.gradient import undefined
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.population import take_batches
@@ -98,3 +98,77 @@ def local_value_with_gradient(fgraph, node):
         if isinstance(client.op, SpectralGradient) and client.inputs == node.inputs:
             return [client.outputs[0]]
     return None
+
+
+class ModalFactor(ArrayOp):
+    """Cholesky factors L (..., b, m, m) of P diag(S) P' for P (..., m, r) and S (..., b, r).
+
+    NaN where there is none. The gradient of PyTensor's own `cholesky` takes Numba a minute to compile.
+    """
+
+    def make_node(self, patterns, density):
+        patterns, density = (pt.as_tensor_variable(x).astype("float64") for x in (patterns, density))
+        m = patterns.type.shape[-2]
+        rows = (None,) * (max(patterns.ndim, density.ndim) - 2)
+        shape = (*rows, density.type.shape[-2], m, m)
+        return Apply(self, [patterns, density], [pt.tensor(dtype="float64", shape=shape)])
+
+    def run(self, inputs) -> tuple[np.ndarray]:
+        """The factors for arrays."""
+        patterns, density = inputs
+        patterns = patterns[..., None, :, :]
+        return (lower_factors((patterns * density[..., None, :]) @ patterns.swapaxes(-1, -2)),)
+
+    def infer_shape(self, node, shapes):
+        patterns, density = shapes
+        rows = pt.broadcast_shape(patterns[:-2], density[:-2], arrays_are_shapes=True)
+        return [(*rows, density[-2], patterns[-2], patterns[-2])]
+
+    def pullback(self, inputs, outputs, cotangents):
+        """By `ModalFactorGradient`."""
+        return ModalFactorGradient()(*inputs, *outputs, *cotangents, return_list=True)
+
+
+class ModalFactorGradient(ArrayOp):
+    """Gradients by P and S, from these, L and the cotangent of L; each of the shape of its row of inputs."""
+
+    def make_node(self, patterns, density, factor, cotangent):
+        rows = (None,) * (factor.ndim - 3)
+        outputs = [pt.tensor(dtype="float64", shape=(*rows, *x.type.shape[-2:])) for x in (patterns, density)]
+        return Apply(self, [patterns, density, factor, cotangent], outputs)
+
+    def run(self, inputs) -> tuple[np.ndarray, np.ndarray]:
+        """Murray, arXiv:1602.07527, Eq. (10), for A = P diag(S) P'."""
+        patterns, density, factor, cotangent = inputs
+        inner = np.tril(factor.swapaxes(-1, -2) @ cotangent)
+        inner *= 1.0 - 0.5 * np.eye(factor.shape[-1])
+        inverse = np.full(factor.shape, np.nan)
+        good = np.isfinite(factor).all(axis=(-1, -2))
+        inverse[good] = np.linalg.inv(factor[good])
+        of_a = inverse.swapaxes(-1, -2) @ inner @ inverse
+        of_a = 0.5 * (of_a + of_a.swapaxes(-1, -2))
+        moved = of_a @ patterns[..., None, :, :]
+        of_patterns = 2.0 * (moved * density[..., None, :]).sum(axis=-3)
+        return of_patterns, (moved * patterns[..., None, :, :]).sum(axis=-2)
+
+    def infer_shape(self, node, shapes):
+        rows = tuple(shapes[2][:-3])
+        return [(*rows, *shapes[0][-2:]), (*rows, *shapes[1][-2:])]
+
+    def pullback(self, inputs, outputs, cotangents):
+        """No second derivatives."""
+        return [undefined(self, inputs, i) for i in range(4)]
+
+
+take_batches(ModalFactor, ModalFactorGradient)
+run_in_python(ModalFactor, ModalFactorGradient)
+
+
+def lower_factors(matrices) -> np.ndarray:
+    """Cholesky factors; NaN of a matrix that is not positive."""
+    try:
+        return np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        if matrices.ndim == 2:
+            return np.full(matrices.shape, np.nan)
+        return np.array([lower_factors(some) for some in matrices])

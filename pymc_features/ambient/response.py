@@ -17,7 +17,6 @@ from pymc.logprob.abstract import _logprob
 from pymc.pytensorf import normalize_rng_param
 from pytensor.graph.basic import Apply, Constant, Variable
 from pytensor.tensor import TensorLike, TensorVariable
-from pytensor.tensor.linalg import cholesky
 from scipy import sparse
 
 from pymc_features._checks import (
@@ -38,7 +37,7 @@ from pymc_features.ambient.bands import (
     checked_bands,
     transfer_functions,
 )
-from pymc_features.ambient.operations import SpectralLogp
+from pymc_features.ambient.operations import ModalFactor, SpectralLogp
 from pymc_features.exceptions import AmbientWarning
 from pymc_features.modal import modes
 from pymc_features.modal.structural_modes import picked_outputs
@@ -191,13 +190,13 @@ def in_bands(value: TensorVariable, name: str, n_bands: int, columns: int | None
 def modal_factor(patterns: TensorVariable, density: TensorVariable) -> TensorVariable:
     """L (b, m, r, 2) with L L' = P diag(S) P', for patterns P (m, r) and spectral densities S (b, r).
 
-    Of more forces than modes, L is the Cholesky factor (b, m, m); NaN where there is none.
+    Of more forces than modes, L is the Cholesky factor (b, m, m).
     """
     m, r = patterns.type.shape
     if m is None or r is None or r <= m:
         factor = patterns[None] * pt.sqrt(density)[:, None, :]
     else:
-        factor = cholesky(pt.matmul(patterns[None] * density[:, None, :], patterns.T))
+        factor = ModalFactor()(patterns, density)
     return pt.stack([factor, pt.zeros_like(factor)], axis=-1)
 
 
