@@ -9,7 +9,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import pymc as pm
 import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 from pymc.distributions.distribution import Continuous, SymbolicRandomVariable
@@ -43,6 +42,7 @@ from pymc_features.modal import modes
 from pymc_features.modal.structural_modes import picked_outputs
 from pymc_features.ops import as_tensor, by_labels, known_dims
 from pymc_features.ops.arrays import ArrayOp
+from pymc_features.ops.initial import cheap_values_at_start
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.response import response as known_response
 from pymc_features.records import Loading, Record
@@ -428,11 +428,9 @@ def warn_at_start(rv, response, bands, is_known: bool) -> None:
 
     The response to what is known is right in short records, too.
     """
-    model = pm.modelcontext(None)
-    try:
-        frequencies, ratios = model_values(model, [response.frequencies, response.damping_ratios])
-    except Exception:  # what cannot be evaluated here is no error of the user's
+    if (values := cheap_values_at_start([response.frequencies, response.damping_ratios])) is None:
         return
+    frequencies, ratios = values
     duration = bands.n_samples * bands.dt
     for low, high in bands.limits:
         inside = (frequencies >= low) & (frequencies <= high)
@@ -460,14 +458,3 @@ def warn_of_peak(what: str, f: float, zeta: float, duration: float) -> None:
 def tell(text: str) -> None:
     """Warn of bands and records that cannot say much, at the user's line."""
     warn_caller(text, AmbientWarning)
-
-
-def model_values(model, variables) -> list[np.ndarray]:
-    """Values of variables at the initial point of a model."""
-    function = model.compile_fn(
-        model.replace_rvs_by_values(variables),
-        inputs=model.value_vars,
-        mode="FAST_COMPILE",
-        on_unused_input="ignore",
-    )
-    return function(model.initial_point())

@@ -19,6 +19,7 @@ from pymc_features.fingerprint import fingerprint
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.inference.unit_cube import parts_of
 from pymc_features.ops import ExternalResponse
+from pymc_features.ops.initial import values_at_start
 from pymc_features.smc import Outputs, RowFunction, batched_graph
 
 SAME_RUN = 1e-9  # distance in scaled coordinates within which parameters are those of a run
@@ -207,10 +208,7 @@ def arguments(model, stand_in) -> Callable:
     parts = parts_of(theta, space)
     values = {v: pt.specify_shape(parts[v.name].astype(v.dtype), v.type.shape) for v in model.value_vars}
     inputs = graph_replace(tensors, values, strict=False)
-    at_start = model.compile_fn(
-        tensors, inputs=model.value_vars, mode="FAST_COMPILE", on_unused_input="ignore"
-    )
-    shapes = [np.shape(value) for value in at_start(space.point)]
+    shapes = [np.shape(value) for value in values_at_start(node.inputs, model)]
     function = RowFunction(batched_graph(Outputs(theta, [pt.concatenate([x.ravel() for x in inputs])])), {})
     ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes])[:-1]
 

@@ -1,15 +1,11 @@
 """Arguments of the likelihoods of histories, checked where the model is declared; warnings of posteriors."""
 
 import numpy as np
-import pymc as pm
 import pytensor
 import pytensor.tensor as pt
 from pymc.distributions.distribution import SymbolicRandomVariable
-from pymc.initial_point import make_initial_point_expression
-from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant, Variable
-from pytensor.graph.replace import graph_replace
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.random.op import RandomVariable
 
@@ -23,6 +19,7 @@ from pymc_features.ops import (
     response_step,
     was_simulated,
 )
+from pymc_features.ops.initial import cheap_values_at_start
 
 LARGE_CONSTANT = 10**6  # bytes; beyond it Numba cannot keep a compiled graph on disk
 NOISE_FREE = 1e-12  # misfit over mean square of the data
@@ -229,23 +226,11 @@ def _warn_about_noise(mu, observed):
     """
     if not was_simulated(mu):
         return
-    model = pm.modelcontext(None)
-    try:
-        upstream = set(ancestors([mu]))
-        if any(v.owner is not None and getattr(v.owner.op, "expensive", False) for v in upstream):
-            return
-        free = [rv for rv in model.free_RVs if rv in upstream]
-        points = make_initial_point_expression(
-            free_rvs=free,
-            rvs_to_transforms={},
-            initval_strategies=dict(model.rvs_to_initial_values),
-        )
-        mu = graph_replace(mu, dict(zip(free, points, strict=True)), strict=False)
-        data = _values(pt.as_tensor_variable(observed))
-        misfit = mean_square_discrepancy(mu.eval(mode=Mode(linker="py", optimizer=None)), data)
-        power = np.nanmean(np.square(data), axis=-1)
-    except Exception:  # a courtesy: whatever cannot be evaluated here is no error of the user's
+    if (values := cheap_values_at_start([mu])) is None:
         return
+    data = _values(pt.as_tensor_variable(observed))
+    misfit = mean_square_discrepancy(values[0], data)
+    power = np.nanmean(np.square(data), axis=-1)
     if (power > 0).any() and (misfit[power > 0] <= NOISE_FREE * power[power > 0]).all():
         warn_caller(
             "`observed` equals the response at the model's initial point: the data have no noise. The "

@@ -34,11 +34,13 @@ from pymc_features.modal.transfer import (
 )
 from pymc_features.ops import as_tensor
 from pymc_features.ops.arrays import RowOp
+from pymc_features.ops.initial import cheap_values_at_start
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.population import take_batches
 from pymc_features.simulators.request import picked_by_name
 from pymc_features.structures import Structure
 
+DIMS = "reference", "response", "frequency"
 SCALES = {"sigma_f": 0.02, "sigma_zeta": 0.2, "sigma_phi": 0.1}  # of the half-normal priors
 CORRELATION = 0.6  # of errors of ln f of two modes: a missing mass lowers all; 0.5 held 84 % of k1 with one
 GAIN = 0.01  # of the sensitivity of a sensor
@@ -154,19 +156,18 @@ class FrequencyResponse:
         shapes = found.shapes[:, [unique.index(i) for i in places]] * signs
         if (m := found.frequencies.type.shape[0]) is not None and m < n:
             raise ValueError(message("n_modes", f"at least {n}, the number of modes that were measured", m))
-        given = {"sigma_f": sigma_f, "sigma_zeta": sigma_zeta, "sigma_phi": sigma_phi}
-        scales = {}
-        for key, value in given.items():
+        sigmas = []
+        for key, value in {"sigma_f": sigma_f, "sigma_zeta": sigma_zeta, "sigma_phi": sigma_phi}.items():
             if model_error is None:
-                scales[key] = None
+                value = pt.zeros(())
             elif value is None:
-                scales[key] = pm.HalfNormal(f"{name}_{key}", SCALES[key])
+                value = pm.HalfNormal(f"{name}_{key}", SCALES[key])
             else:
-                scales[key] = positive(key, value)
+                value = positive(key, value)
+            sigmas.append(value)
         q_0, root, parts = standardised(fit, is_force)
         n_out = fit.modes.outputs.shape[1]
-        sigmas = pt.stack([pt.zeros(()) if x is None else x for x in scales.values()])
-        given = found.frequencies, found.damping_ratios, shapes, sigmas, q_0, root, parts, n_out
+        given = found.frequencies, found.damping_ratios, shapes, pt.stack(sigmas), q_0, root, parts, n_out
         rv = pm.CustomDist(
             name,
             *given,
@@ -215,29 +216,23 @@ def measured_modes(observed) -> MeasuredModes:
     if len(f) < 2 or not np.isfinite(h).all() or not (np.diff(f) > 0.0).all() or f[0] <= 0.0:
         advice = "Choose a band by .sel(frequency=slice(low, high)), and leave out lines without a value."
         raise ValueError(message("observed", "finite, at ascending frequencies above zero", shown(h), advice))
-    variance = None
+    variance = [None] * h.shape[1]
     if "variance" in observed:
-        variance = observed["variance"].transpose("response", "reference", "frequency").values
-        if not (np.isfinite(variance) & (variance > 0.0)).all():
-            place = np.argwhere(~(np.isfinite(variance) & (variance > 0.0)))[0, :2]
-            names = [observed[dim].values[i] for dim, i in zip(("response", "reference"), place, strict=True)]
-            got = f"another one of response {names[0]!r} to {names[1]!r}"
+        variance = observed["variance"].transpose(*DIMS).values
+        wrong = np.argwhere(~(np.isfinite(variance) & (variance > 0.0)))
+        if len(wrong):
+            reference, response = (observed[dim].values[i] for dim, i in zip(DIMS, wrong[0], strict=False))
+            got = f"another one of response {response!r} to {reference!r}"
             raise ValueError(message("variance", "positive at all lines", got, "Leave dead channels out."))
     if (quantity := attrs.get("quantity", "accelerance")) not in POWERS:
         raise ValueError(message("quantity", f"one of {', '.join(POWERS)}", shown(quantity)))
     numbers = {key: check_number(attrs[key], key) for key in ("decay", "duration", "dt") if key in attrs}
     lines = Lines(f, POWERS[quantity], **numbers)
     blows = observed["blow"].values if "blow" in observed else [attrs.get("blow", np.nan)] * h.shape[1]
+    unit = np.ones((1, len(f)))
     experiments = [
-        Experiment(
-            np.array([r]),
-            np.ones((1, len(f))),
-            h[:, r],
-            None if variance is None else variance[:, r],
-            0.0,
-            blow,
-        )
-        for r, blow in enumerate(map(float, blows))
+        Experiment(np.array([r]), unit, h[:, r], variance[r], blow=float(blow))
+        for r, blow in enumerate(blows)
     ]
     fit = fit_modes(experiments, lines, gain=GAIN)
     if not len(fit.modes.natural):
@@ -423,17 +418,9 @@ def logp_and_gradient(
 
 def warn_at_start(name, found, observed, fit: TransferFit) -> None:
     """Name peaks without a mode, and modes without a peak, at the start of a model; refuse undamped modes."""
-    model = pm.modelcontext(None)
-    try:
-        function = model.compile_fn(
-            model.replace_rvs_by_values([found.frequencies, found.damping_ratios]),
-            inputs=model.value_vars,
-            mode="FAST_COMPILE",
-            on_unused_input="ignore",
-        )
-        f, ratios = function(model.initial_point())
-    except Exception:  # what cannot be evaluated here is no error of the user's
+    if (values := cheap_values_at_start([found.frequencies, found.damping_ratios])) is None:
         return
+    f, ratios = values
     if not (ratios[f > 0.0] > 0.0).all():
         got = f"ratios of {ratios[f > 0.0].min():.3g}"
         raise ValueError(message("structure", "damped in all modes but those of a rigid body", got))
