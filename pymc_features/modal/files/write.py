@@ -5,7 +5,6 @@ import re
 from os import PathLike
 
 import numpy as np
-import pandas as pd
 
 from pymc_features._checks import check_path, message
 from pymc_features.io.formats.libraries import AXES
@@ -64,6 +63,8 @@ def _per_mode(modal: ModalData) -> dict[str, np.ndarray]:
 
 
 def _write_csv(modal: ModalData, path) -> None:
+    import pandas as pd  # slow to import
+
     columns = {} if modal.labels is None else {"mode": modal.labels}
     columns |= {f"{name} [Hz]" if name == "frequency" else name: v for name, v in _per_mode(modal).items()}
     for k, name in enumerate(modal.channels):
