@@ -42,7 +42,7 @@ from pymc_features.modal import modes
 from pymc_features.modal.structural_modes import picked_outputs
 from pymc_features.ops import as_tensor, by_labels, known_dims
 from pymc_features.ops.arrays import ArrayOp
-from pymc_features.ops.initial import cheap_values_at_start
+from pymc_features.ops.declared import cheap_values_at_start, positive_tensor
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.response import response as known_response
 from pymc_features.records import Loading, Record
@@ -54,6 +54,7 @@ KNOWN = dict(
 )
 PARTS = "(m),(m),(m,s),(b,m,r,c),(b,s)"
 LINES = "bins", "weights", "gains", "starts", "dt"  # of `Bands`
+ADVICE = "Pass a spectral density."
 FEWEST_IN_PEAK = 4.0  # frequencies of the record in the half-power width of a mode
 
 
@@ -128,7 +129,7 @@ def spectral_response(
         If an argument is out of range.
     """
     check_choice(quantity, "quantity", tuple(MEASURED))
-    density = pt.zeros(()) if excitation is None else spectral(excitation, "excitation")
+    density = pt.zeros(()) if excitation is None else positive_tensor(excitation, "excitation", ADVICE)
     if excitation is None:  # one that acts nowhere
         forces = np.zeros((structure.n_dof, 1))
     if isinstance(forces, str) and check_choice(forces, "forces", ("dofs", "modes")) == "modes":
@@ -163,15 +164,6 @@ def checked_patterns(forces, n: int) -> np.ndarray:
         raise ValueError(message("forces", f"({n}, force), a row for each degree of freedom", patterns.shape))
     check_finite(patterns, "forces")
     return patterns
-
-
-def spectral(value, name: str) -> TensorVariable:
-    """A tensor; numbers are refused where they are not positive."""
-    tensor = as_tensor(value, name, "Pass a spectral density.")
-    numbers = tensor.data if isinstance(tensor, Constant) else np.ones(1)
-    if not numbers.size or not (np.isfinite(numbers) & (numbers > 0)).all():
-        raise ValueError(message(name, "positive and finite", shown(np.asarray(numbers).tolist())))
-    return tensor
 
 
 def in_bands(value: TensorVariable, name: str, n_bands: int, columns: int | None, what: str):
@@ -390,7 +382,7 @@ class AmbientResponse(Continuous):
         if s is None and mu is not None:
             s = np.shape(mu)[0] if not isinstance(mu, TensorVariable) else mu.type.shape[0]
         density = in_bands(response.excitation, "excitation", b, response.patterns.type.shape[1], "force")
-        error = in_bands(spectral(error, "error"), "error", b, s, "sensor")
+        error = in_bands(positive_tensor(error, "error", ADVICE), "error", b, s, "sensor")
         if mu is None:
             mu = np.zeros((s, n_samples))
         mean = as_tensor(mu, "mu", "Pass what `response` returned.")

@@ -19,7 +19,7 @@ from pymc_features.fingerprint import fingerprint
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.inference.unit_cube import parts_of
 from pymc_features.ops import ExternalResponse
-from pymc_features.ops.initial import values_at_start
+from pymc_features.ops.declared import values_at_start
 from pymc_features.smc import Outputs, RowFunction, batched_graph
 
 SAME_RUN = 1e-9  # distance in scaled coordinates within which parameters are those of a run

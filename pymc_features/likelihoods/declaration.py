@@ -14,12 +14,13 @@ from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.ops import (
     as_tensor,
     by_labels,
+    check_dims,
     check_shape,
     mean_square_discrepancy,
     response_step,
     was_simulated,
 )
-from pymc_features.ops.initial import cheap_values_at_start
+from pymc_features.ops.declared import cheap_values_at_start, positive_tensor
 
 LARGE_CONSTANT = 10**6  # bytes; beyond it Numba cannot keep a compiled graph on disk
 NOISE_FREE = 1e-12  # misfit over mean square of the data
@@ -79,18 +80,14 @@ def check_dt(dt, mu):
 
 def _check_positive(name, value):
     """Return a tensor; refuse numbers that are not positive and finite."""
-    tensor = as_tensor(value, name, ADVICE[name])
+    tensor = positive_tensor(value, name, ADVICE[name])
     if 0 in tensor.type.shape:
         raise ValueError(message(name, "one number or several", "none", ADVICE[name]))
-    if isinstance(tensor, Constant):
-        values = np.asarray(tensor.data)
-        if not (np.isfinite(values) & (values > 0)).all():
-            raise ValueError(message(name, "positive and finite", values.tolist(), ADVICE[name]))
     return tensor
 
 
-def prepare_observed(mu, observed, name, dims=None, *, gaps=False):
-    """Return the data, checked against `mu`.
+def prepare_observed(mu, observed, name, dims, *, gaps=False, **parameters):
+    """Return the data and the names of their axes, checked against `mu` and parameters of each sensor.
 
     With `gaps` they may have NaN, or be masked. As a shared variable they reach the density as they are: NaN
     in an array PyMC would impute silently, as free variables.
@@ -112,18 +109,14 @@ def prepare_observed(mu, observed, name, dims=None, *, gaps=False):
     _check_values(values, gaps)
     check_shape(mu.type.shape, shape_of(observed))
     if not is_graph and (values.nbytes > LARGE_CONSTANT or np.isnan(values).any()):
-        return pytensor.shared(values, name=f"{name}_data", shape=values.shape)
-    return observed
-
-
-def check_one_set(mu, **parameters):
-    """Refuse parameters with more dimensions than the sensors of the data: those are several likelihoods."""
-    mu = as_response(mu)
-    for name, value in parameters.items():
-        ndim = as_tensor(value, name).ndim
-        if ndim > mu.ndim - 1:
+        observed = pytensor.shared(values, name=f"{name}_data", shape=values.shape)
+    dims = check_dims(dims, observed.ndim)
+    for parameter, value in parameters.items():
+        ndim = as_tensor(value, parameter).ndim
+        if ndim > mu.ndim - 1:  # several likelihoods
             expected = "a scalar or have one value for each sensor of `observed`"
-            raise ValueError(message(name, expected, f"{ndim} dimensions"))
+            raise ValueError(message(parameter, expected, f"{ndim} dimensions"))
+    return observed, dims
 
 
 def _check_dimensions(mu, shape):

@@ -14,7 +14,6 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from pymc.distributions.distribution import Continuous
 from pytensor.compile.mode import Mode
-from pytensor.graph.basic import Constant
 from pytensor.graph.replace import graph_replace, vectorize_graph
 from pytensor.tensor import TensorLike, TensorVariable
 
@@ -42,7 +41,7 @@ from pymc_features.modal.matching import (
 )
 from pymc_features.modal.structural_modes import SymbolicModes
 from pymc_features.ops import as_tensor, known_dims
-from pymc_features.ops.initial import cheap_values_at_start, values_at_start
+from pymc_features.ops.declared import cheap_values_at_start, positive_tensor, values_at_start
 
 BY_ENTRY = "NORMAL"  # the law of each entry of a shape
 #: Degrees of freedom of 1 - MAC, which count for nothing by entry.
@@ -266,14 +265,10 @@ def checked_parameters(
 
 def scale(name, value, n, values=None, sd=None):
     """A tensor (n,); numbers are refused where not positive, or zero where all values have an sd."""
-    tensor = as_tensor(value, name)
+    allow_zero = values is not None and (sd[~np.isnan(values)] > 0.0).all()
+    tensor = positive_tensor(value, name, zero=allow_zero)
     if tensor.ndim > 1 or (tensor.ndim == 1 and tensor.type.shape[0] not in (None, 1, n)):
         raise ValueError(message(name, f"one value or one for each of the {n} modes", tensor.type.shape))
-    if isinstance(tensor, Constant):
-        allow_zero = values is not None and (sd[~np.isnan(values)] > 0.0).all()
-        legal = np.isfinite(tensor.data) & ((tensor.data > 0) | (allow_zero & (tensor.data == 0)))
-        if not legal.all():
-            raise ValueError(message(name, "positive and finite", np.asarray(tensor.data).tolist()))
     return pt.broadcast_to(tensor, (n,))
 
 

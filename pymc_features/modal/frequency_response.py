@@ -8,7 +8,7 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
-from pytensor.graph.basic import Apply, Constant
+from pytensor.graph.basic import Apply
 from pytensor.tensor import TensorLike, TensorVariable
 
 from pymc_features._checks import (
@@ -32,9 +32,8 @@ from pymc_features.modal.transfer import (
     known_directions,
     without_rest,
 )
-from pymc_features.ops import as_tensor
 from pymc_features.ops.arrays import RowOp
-from pymc_features.ops.initial import cheap_values_at_start
+from pymc_features.ops.declared import cheap_values_at_start, positive_tensor
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.population import take_batches
 from pymc_features.simulators.request import picked_by_name
@@ -163,7 +162,9 @@ class FrequencyResponse:
             elif value is None:
                 value = pm.HalfNormal(f"{name}_{key}", SCALES[key])
             else:
-                value = positive(key, value)
+                value = positive_tensor(value, key)
+                if value.ndim:
+                    raise ValueError(message(key, "one value", f"{value.ndim} dimensions"))
             sigmas.append(value)
         q_0, root, parts = standardised(fit, is_force)
         n_out = fit.modes.outputs.shape[1]
@@ -188,14 +189,6 @@ class FrequencyResponse:
                 "variance: lines alone would give too narrow intervals. Leave `model_error` as it is."
             )
         return rv
-
-
-def positive(name, value) -> TensorVariable:
-    """A tensor (); a number is refused where it is not positive."""
-    tensor = as_tensor(value, name)
-    if tensor.ndim or (isinstance(tensor, Constant) and not 0.0 < tensor.data < np.inf):
-        raise ValueError(message(name, "positive and finite, one value", shown(value)))
-    return tensor
 
 
 class MeasuredModes(NamedTuple):
