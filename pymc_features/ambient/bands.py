@@ -7,9 +7,10 @@ import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 from pytensor.gradient import disconnected_type
 from pytensor.graph.basic import Apply
-from pytensor.graph.op import Op
 
 from pymc_features._checks import as_numbers, check_finite, message
+from pymc_features.ops.arrays import ArrayOp
+from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.population import take_batches
 from pymc_features.simulators.spectra import MULTIPLE
 
@@ -96,13 +97,13 @@ def transfer_functions(natural, ratios, frequencies) -> np.ndarray:
     return 1.0 / (1.0 - beta**2 - 2j * ratios * beta)
 
 
-class BandTransform(Op):
+class BandTransform(ArrayOp):
     """Scaled Fourier transforms (..., s, 2, k) of histories (..., s, t) at the frequencies of all bands.
 
     F_k = sqrt(2 dt / t) sum_j y_j exp(-2 pi i j k / t), so that E|F_k|^2 is the one-sided spectral density.
     """
 
-    __props__ = ()
+    n_connected = 1
 
     def make_node(self, histories, bins, weights, dt):
         histories, weights, dt = (
@@ -112,19 +113,12 @@ class BandTransform(Op):
         shape = (*histories.type.shape[:-1], 2, bins.type.shape[0])
         return Apply(self, [histories, bins, weights, dt], [pt.tensor(dtype="float64", shape=shape)])
 
-    def perform(self, node, inputs, output_storage):
-        [output_storage[0][0]] = self.run(inputs)
-
     def run(self, inputs) -> tuple[np.ndarray]:
         """Transforms of arrays."""
         return (band_transform(*inputs),)
 
     def infer_shape(self, node, shapes):
         return [(*shapes[0][:-1], 2, shapes[1][0])]
-
-    def connection_pattern(self, node):
-        """Histories count."""
-        return [[True], [False], [False], [False]]
 
     def pullback(self, inputs, outputs, cotangents):
         """By `BandHistories`, its transpose."""
@@ -133,10 +127,10 @@ class BandTransform(Op):
         return [slope, *(disconnected_type() for _ in lines)]
 
 
-class BandHistories(Op):
+class BandHistories(ArrayOp):
     """Transpose of `BandTransform`: histories (..., s, t) with these transforms, times dt."""
 
-    __props__ = ()
+    n_connected = 1
 
     def make_node(self, spectra, bins, weights, dt, n_samples):
         spectra, weights, dt = (pt.as_tensor_variable(x).astype("float64") for x in (spectra, weights, dt))
@@ -145,19 +139,12 @@ class BandHistories(Op):
         inputs = [spectra, bins, weights, dt, n_samples]
         return Apply(self, inputs, [pt.tensor(dtype="float64", shape=shape)])
 
-    def perform(self, node, inputs, output_storage):
-        [output_storage[0][0]] = self.run(inputs)
-
     def run(self, inputs) -> tuple[np.ndarray]:
         """Histories from arrays."""
         return (band_histories(*inputs),)
 
     def infer_shape(self, node, shapes):
         return [(*shapes[0][:-2], node.inputs[-1])]
-
-    def connection_pattern(self, node):
-        """Transforms count."""
-        return [[True], [False], [False], [False], [False]]
 
     def pullback(self, inputs, outputs, cotangents):
         """By `BandTransform`."""
@@ -166,6 +153,7 @@ class BandHistories(Op):
 
 
 take_batches(BandTransform, BandHistories, first=1)
+run_in_python(BandTransform, BandHistories)
 
 
 def band_transform(histories, bins, weights, dt) -> np.ndarray:

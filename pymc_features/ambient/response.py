@@ -9,14 +9,12 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import pymc as pm
 import pytensor.tensor as pt
 from numpy.typing import ArrayLike
 from pymc.distributions.distribution import Continuous, SymbolicRandomVariable
 from pymc.logprob.abstract import _logprob
 from pymc.pytensorf import normalize_rng_param
 from pytensor.graph.basic import Apply, Constant, Variable
-from pytensor.graph.op import Op
 from pytensor.tensor import TensorLike, TensorVariable
 from scipy import sparse
 
@@ -32,18 +30,19 @@ from pymc_features._checks import (
     warn_caller,
 )
 from pymc_features.ambient.bands import (
-    BandHistories,
     Bands,
     BandTransform,
     band_histories,
     checked_bands,
     transfer_functions,
 )
-from pymc_features.ambient.operations import ModalFactor, ModalFactorGradient, SpectralGradient, SpectralLogp
+from pymc_features.ambient.operations import ModalFactor, SpectralLogp
 from pymc_features.exceptions import AmbientWarning
 from pymc_features.modal import modes
 from pymc_features.modal.structural_modes import picked_outputs
 from pymc_features.ops import as_tensor, by_labels, known_dims
+from pymc_features.ops.arrays import ArrayOp
+from pymc_features.ops.declared import cheap_values_at_start, positive_tensor
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.response import response as known_response
 from pymc_features.records import Loading, Record
@@ -55,6 +54,7 @@ KNOWN = dict(
 )
 PARTS = "(m),(m),(m,s),(b,m,r,c),(b,s)"
 LINES = "bins", "weights", "gains", "starts", "dt"  # of `Bands`
+ADVICE = "Pass a spectral density."
 FEWEST_IN_PEAK = 4.0  # frequencies of the record in the half-power width of a mode
 
 
@@ -129,7 +129,7 @@ def spectral_response(
         If an argument is out of range.
     """
     check_choice(quantity, "quantity", tuple(MEASURED))
-    density = pt.zeros(()) if excitation is None else spectral(excitation, "excitation")
+    density = pt.zeros(()) if excitation is None else positive_tensor(excitation, "excitation", ADVICE)
     if excitation is None:  # one that acts nowhere
         forces = np.zeros((structure.n_dof, 1))
     if isinstance(forces, str) and check_choice(forces, "forces", ("dofs", "modes")) == "modes":
@@ -166,15 +166,6 @@ def checked_patterns(forces, n: int) -> np.ndarray:
     return patterns
 
 
-def spectral(value, name: str) -> TensorVariable:
-    """A tensor; numbers are refused where they are not positive."""
-    tensor = as_tensor(value, name, "Pass a spectral density.")
-    numbers = tensor.data if isinstance(tensor, Constant) else np.ones(1)
-    if not numbers.size or not (np.isfinite(numbers) & (numbers > 0)).all():
-        raise ValueError(message(name, "positive and finite", shown(np.asarray(numbers).tolist())))
-    return tensor
-
-
 def in_bands(value: TensorVariable, name: str, n_bands: int, columns: int | None, what: str):
     """A tensor (b, columns) from one number, one for each band, or one for each band and column."""
     expected = f"one value, one for each of the {n_bands} bands, or (band, {what})"
@@ -201,21 +192,17 @@ def modal_factor(patterns: TensorVariable, density: TensorVariable) -> TensorVar
     return pt.stack([factor, pt.zeros_like(factor)], axis=-1)
 
 
-class AmbientHistories(Op):
+class AmbientHistories(ArrayOp):
     """Histories (s, t) whose transforms in some bands have the covariance E_k, from standard normal numbers.
 
     Inputs are those of `AmbientResponseRV`, and normal numbers (2, k, r) of forces and (s, 2, k) of errors.
     """
 
-    __props__ = ()
     gufunc_signature = f"{PARTS},(s,t),(k),(k),(k),(e),(),(c,k,r),(s,c,k)->(s,t)"
 
     def make_node(self, *inputs):
         inputs = [pt.as_tensor_variable(x) for x in inputs]
         return Apply(self, inputs, [pt.tensor(dtype="float64", shape=inputs[5].type.shape)])
-
-    def perform(self, node, inputs, output_storage):
-        [output_storage[0][0]] = self.run(inputs)
 
     def infer_shape(self, node, shapes):
         return [shapes[5]]
@@ -279,15 +266,7 @@ def ambient_logprob(op, values, rng, *inputs, **kwargs):
     return logp(natural, ratios, shapes, factor, error, spectra, frequencies, weights, gains, starts)
 
 
-run_in_python(
-    SpectralLogp,
-    SpectralGradient,
-    BandTransform,
-    BandHistories,
-    AmbientHistories,
-    ModalFactor,
-    ModalFactorGradient,
-)
+run_in_python(AmbientHistories)
 
 
 class AmbientResponse(Continuous):
@@ -403,7 +382,7 @@ class AmbientResponse(Continuous):
         if s is None and mu is not None:
             s = np.shape(mu)[0] if not isinstance(mu, TensorVariable) else mu.type.shape[0]
         density = in_bands(response.excitation, "excitation", b, response.patterns.type.shape[1], "force")
-        error = in_bands(spectral(error, "error"), "error", b, s, "sensor")
+        error = in_bands(positive_tensor(error, "error", ADVICE), "error", b, s, "sensor")
         if mu is None:
             mu = np.zeros((s, n_samples))
         mean = as_tensor(mu, "mu", "Pass what `response` returned.")
@@ -441,11 +420,9 @@ def warn_at_start(rv, response, bands, is_known: bool) -> None:
 
     The response to what is known is right in short records, too.
     """
-    model = pm.modelcontext(None)
-    try:
-        frequencies, ratios = model_values(model, [response.frequencies, response.damping_ratios])
-    except Exception:  # what cannot be evaluated here is no error of the user's
+    if (values := cheap_values_at_start([response.frequencies, response.damping_ratios])) is None:
         return
+    frequencies, ratios = values
     duration = bands.n_samples * bands.dt
     for low, high in bands.limits:
         inside = (frequencies >= low) & (frequencies <= high)
@@ -473,14 +450,3 @@ def warn_of_peak(what: str, f: float, zeta: float, duration: float) -> None:
 def tell(text: str) -> None:
     """Warn of bands and records that cannot say much, at the user's line."""
     warn_caller(text, AmbientWarning)
-
-
-def model_values(model, variables) -> list[np.ndarray]:
-    """Values of variables at the initial point of a model."""
-    function = model.compile_fn(
-        model.replace_rvs_by_values(variables),
-        inputs=model.value_vars,
-        mode="FAST_COMPILE",
-        on_unused_input="ignore",
-    )
-    return function(model.initial_point())

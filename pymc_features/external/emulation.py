@@ -8,6 +8,8 @@ import logging
 import sys
 import warnings
 from contextlib import ExitStack, contextmanager
+from functools import cached_property
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -261,7 +263,7 @@ def learnt(campaign, draws, points) -> Batch:
     before, predicted = campaign.log_likelihood(draws), campaign.log_likelihood(points)
     edge = np.quantile(campaign.logp(draws)[0] + before, AMONG)
     campaign.run(points)
-    true = campaign.true_log_likelihood(points)
+    true = campaign.log_likelihood(points, truly=True)
     with np.errstate(invalid="ignore"):
         error = predicted - true
         near = np.maximum(predicted, true) + campaign.logp(points)[0] > edge
@@ -283,7 +285,7 @@ def judged(campaign, draws, settings, rng) -> tuple[Batch, Remaining]:
     at = rng.choice(len(draws), size=settings.checks, replace=False)
     before = campaign.log_likelihood(draws)
     campaign.run(draws[at])
-    ratios = campaign.true_log_likelihood(draws[at]) - before[at]
+    ratios = campaign.log_likelihood(draws[at], truly=True) - before[at]
     updates = campaign.log_likelihood(draws) - before
     change = largest_change(draws, updates)
     return Batch(campaign.n_runs, change, spread(ratios)), remaining(draws, at, ratios, updates)
@@ -385,7 +387,7 @@ class Campaign:
     def __init__(self, model, parts: list[Part], prior):
         self.model, self.space = model, Unconstrained(model)
         self.responses = [Response(part, prior) for part in parts]
-        self.theta, self.fitted_to, self._logp = prior[:0], 0, None
+        self.theta, self.fitted_to = prior[:0], 0
 
     @property
     def n_runs(self) -> int:
@@ -401,25 +403,19 @@ class Campaign:
         if refit:
             self.fitted_to = self.n_runs
 
-    @property
+    @cached_property
     def logp(self):
         """Log prior and log-likelihood of points (n, d), compiled once."""
-        if self._logp is None:
-            self._logp = population_logp(self.model, self.space.point, {})
-        return self._logp
+        return population_logp(self.model, self.space.point, {})
 
-    def log_likelihood(self, theta, shifts=None):
-        """Log-likelihood of points (n, d) by the emulators; with components off by so many deviations."""
-        with ExitStack() as stack:
-            for response, shift in zip(self.responses, shifts or [], strict=shifts is not None):
-                stack.enter_context(response.stand_in.shifted(shift))
-            return self.logp(theta)[1]
+    def log_likelihood(self, theta, shifts=None, truly=False):
+        """Log-likelihood of points (n, d) by the emulators; with components off by so many deviations.
 
-    def true_log_likelihood(self, theta):
-        """Log-likelihood of points (n, d) at which the simulators were run."""
+        Or, at points where the simulators were run, `truly`.
+        """
         with ExitStack() as stack:
-            for response in self.responses:
-                stack.enter_context(response.stand_in.true_runs())
+            for response, shift in zip(self.responses, shifts or repeat(None), strict=False):
+                stack.enter_context(response.stand_in.taken(shift=shift, truly=truly))
             return self.logp(theta)[1]
 
     def sample(self, n, random_seed):

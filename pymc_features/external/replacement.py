@@ -14,11 +14,12 @@ from pytensor.graph.traversal import ancestors
 
 from pymc_features._checks import message
 from pymc_features.external.emulator import PREDICTED_AT_ONCE, Emulator
-from pymc_features.external.simulator import ExternalSimulator
+from pymc_features.external.simulator import ExternalSimulator, unflat
 from pymc_features.fingerprint import fingerprint
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.inference.unit_cube import parts_of
 from pymc_features.ops import ExternalResponse
+from pymc_features.ops.declared import values_at_start
 from pymc_features.smc import Outputs, RowFunction, batched_graph
 
 SAME_RUN = 1e-9  # distance in scaled coordinates within which parameters are those of a run
@@ -47,22 +48,13 @@ class StandIn:
         return fingerprint(self.simulator_identity, *runs)
 
     @contextmanager
-    def shifted(self, shift):
-        """For a while, components off their means."""
-        self.shift = shift
+    def taken(self, *, shift=None, truly=False):
+        """For a while, components off their means, or runs in place of predictions."""
+        self.shift, self.truly = shift, truly
         try:
             yield
         finally:
-            self.shift = None
-
-    @contextmanager
-    def true_runs(self):
-        """For a while, runs in place of predictions."""
-        self.truly = True
-        try:
-            yield
-        finally:
-            self.truly = False
+            self.shift, self.truly = None, False
 
     def responses(self, *parameters):
         """Histories (particle, sensor, time), the means; NaN where a run would fail."""
@@ -72,9 +64,8 @@ class StandIn:
         if self.truly:
             return emulator.responses[self.runs_at(x)]
         result = np.full((len(x), *self.shape), np.nan)
-        good = ~emulator.fails(x)
-        if good.any():
-            result[good] = emulator.responses_of(self.components(x[good])[0])
+        for rows in some_at_once(~emulator.fails(x)):
+            result[rows] = emulator.responses_of(self.components(x[rows])[0])
         return result
 
     def discrepancies(self, *parameters, observed=None):
@@ -84,9 +75,7 @@ class StandIn:
             runs = emulator.responses[self.runs_at(x)]
             return runs if observed is None or not emulator.of_histories else squares(runs, observed)
         result = np.full((len(x), self.shape[0]), np.nan)
-        good = np.flatnonzero(~emulator.fails(x))
-        for first in range(0, len(good), PREDICTED_AT_ONCE):
-            rows = good[first : first + PREDICTED_AT_ONCE]
+        for rows in some_at_once(~emulator.fails(x)):
             result[rows] = emulator.discrepancies(*self.components(x[rows]), observed)
         return result
 
@@ -113,30 +102,27 @@ class StandIn:
         if self.returns == "mean_square":
             return self.discrepancy_gradients(*parameters, observed=None, weights=np.atleast_2d(cotangent))
         by_mean = np.einsum("...st,cst->...c", cotangent, emulator.basis, optimize=True)
-        by_mean = np.broadcast_to(by_mean, (len(x), len(emulator.basis)))
-        return unflat(self.finite(x, lambda rows: (by_mean[rows], np.zeros_like(by_mean[rows]))), parameters)
-
-    def finite(self, x, weights_of):
-        """Gradients (n, d), zero at parameters that are no numbers."""
-        good = np.flatnonzero(np.isfinite(x).all(axis=1))
-        result = np.zeros(x.shape)
-        if len(good):
-            result[good] = self.emulator.slopes(x[good], *weights_of(good))
-        return result
+        by_mean, result = np.broadcast_to(by_mean, (len(x), len(emulator.basis))), np.zeros(x.shape)
+        for rows in some_at_once(np.isfinite(x).all(axis=1)):
+            result[rows] = emulator.slopes(x[rows], by_mean[rows], np.zeros_like(by_mean[rows]))
+        return unflat(result, parameters)
 
     def discrepancy_gradients(self, *parameters, observed, weights):
         """Gradients of sum_j weights_j e_j, weights (row, sensor) or (1, sensor)."""
         x = flat(parameters)
-        weights = np.broadcast_to(weights, (len(x), self.shape[0]))
-        result = np.zeros(x.shape)
-        good = np.flatnonzero(np.isfinite(x).all(axis=1) & np.isfinite(weights).all(axis=1))
-        for first in range(0, len(good), PREDICTED_AT_ONCE):
-            rows = good[first : first + PREDICTED_AT_ONCE]
+        weights, result = np.broadcast_to(weights, (len(x), self.shape[0])), np.zeros(x.shape)
+        for rows in some_at_once(np.isfinite(x).all(axis=1) & np.isfinite(weights).all(axis=1)):
             result[rows] = self.emulator.discrepancy_slopes(x[rows], observed, weights[rows])
         return unflat(result, parameters)
 
     def __deepcopy__(self, memo):
         return self  # copies of a model share the emulator
+
+
+def some_at_once(good):
+    """Numbers of good rows, in parts that fit into memory."""
+    rows = np.flatnonzero(good)
+    return (rows[i : i + PREDICTED_AT_ONCE] for i in range(0, rows.size, PREDICTED_AT_ONCE))
 
 
 def squares(runs, observed):
@@ -150,13 +136,6 @@ def flat(parameters):
     rows = [np.reshape(p, (len(p), -1)).astype(np.float64) for p in parameters]
     n = max(len(r) for r in rows)
     return np.concatenate([np.broadcast_to(r, (n, r.shape[1])) for r in rows], axis=1)
-
-
-def unflat(gradient, parameters):
-    """Gradients (n, d) as one array for each parameter."""
-    sizes = [int(np.prod(np.shape(p)[1:])) for p in parameters]
-    parts = np.split(gradient, np.cumsum(sizes)[:-1], axis=1)
-    return [part.reshape(-1, *np.shape(p)[1:]) for part, p in zip(parts, parameters, strict=True)]
 
 
 class Part(NamedTuple):
@@ -207,10 +186,7 @@ def arguments(model, stand_in) -> Callable:
     parts = parts_of(theta, space)
     values = {v: pt.specify_shape(parts[v.name].astype(v.dtype), v.type.shape) for v in model.value_vars}
     inputs = graph_replace(tensors, values, strict=False)
-    at_start = model.compile_fn(
-        tensors, inputs=model.value_vars, mode="FAST_COMPILE", on_unused_input="ignore"
-    )
-    shapes = [np.shape(value) for value in at_start(space.point)]
+    shapes = [np.shape(value) for value in values_at_start(node.inputs, model)]
     function = RowFunction(batched_graph(Outputs(theta, [pt.concatenate([x.ravel() for x in inputs])])), {})
     ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes])[:-1]
 

@@ -165,13 +165,11 @@ class ExternalSimulator:
     def gradients(self, *parameters: ArrayLike, cotangent: ArrayLike) -> list[np.ndarray]:
         """Gradients of sum(cotangent * result), each with a row for every row of the parameters."""
         rows = spread(parameters)
-        sizes = [int(np.prod(r.shape[1:])) for r in rows]
         cotangent = as_numbers(cotangent, "cotangent", "Pass an array of the shape of the result.")
         more = np.broadcast_to(cotangent, (len(rows[0]), *np.shape(cotangent)))
-        task = Task(self._flat_gradient, (sum(sizes),), None, self._gradient_identity)
-        flat = self.evaluator.run(task, [*rows, more])
-        parts = np.split(flat, np.cumsum(sizes)[:-1], axis=1)
-        return [part.reshape(r.shape) for part, r in zip(parts, rows, strict=True)]
+        size = sum(r[0].size for r in rows)
+        task = Task(self._flat_gradient, (size,), None, self._gradient_identity)
+        return unflat(self.evaluator.run(task, [*rows, more]), rows)
 
     def close(self) -> None:
         """End the processes that were started; they start again when needed."""
@@ -201,3 +199,10 @@ def spread(parameters) -> list[np.ndarray]:
         got = ", ".join(str(len(r)) for r in rows)
         raise ValueError(message("parameters", "arrays with one row or as many as the others", f"{got} rows"))
     return [np.broadcast_to(r, (n, *r.shape[1:])) for r in rows]
+
+
+def unflat(gradient, parameters) -> list[np.ndarray]:
+    """Gradients (n, d) as one array for each parameter (particle, ...)."""
+    sizes = [np.prod(np.shape(p)[1:], dtype=int) for p in parameters]
+    parts = np.split(gradient, np.cumsum(sizes)[:-1], axis=1)
+    return [part.reshape(-1, *np.shape(p)[1:]) for part, p in zip(parts, parameters, strict=True)]

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from pymc.distributions.distribution import SymbolicRandomVariable
 from pymc.logprob.abstract import _logprob
 from pytensor.compile.sharedvalue import SharedVariable
-from pytensor.graph.basic import Constant, Variable
+from pytensor.graph.basic import Variable
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor import TensorLike, TensorVariable
 from pytensor.tensor.blockwise import Blockwise
@@ -37,7 +37,6 @@ from pymc_features.likelihoods.simulator_functions import (
     NoisySimulator,
     ResponseSimulator,
     node_of,
-    number,
 )
 from pymc_features.modal import SymbolicModes
 from pymc_features.modal.feature import add_coordinates
@@ -52,6 +51,7 @@ from pymc_features.ops import (
     name_the_time_axis,
     response_node,
 )
+from pymc_features.ops.declared import positive_tensor
 
 QUANTILE = 0.9  # of sigma under EXP, from which the tolerance follows
 ADVICE_ON_EPSILON = (
@@ -317,17 +317,13 @@ def _tolerance(epsilon, n_sensors, kind="sensors"):
 def _per_sensor(name, value, n_sensors, advice, *, zero=False, kind="sensors"):
     """A tensor () or (sensor,) whose numbers, where they are known, are positive; or zero, if allowed."""
     tensor = as_tensor(value, name, advice)
-    known = isinstance(tensor, Constant | SharedVariable)
-    values = np.asarray(number(tensor)) if known else None
-    shape = values.shape if known else tensor.type.shape
+    shape = tensor.get_value().shape if isinstance(tensor, SharedVariable) else tensor.type.shape
     if len(shape) > 1 or (len(shape) == 1 and shape[0] not in (None, n_sensors)):
         raise ValueError(
             f"`{name}` must be one number or one for each of the {n_sensors} {kind}, got shape {shape}."
         )
-    if known and not (np.isfinite(values) & ((values > 0) | (zero & (values == 0)))).all():
-        wanted = "not negative" if zero else "positive"
-        raise ValueError(f"`{name}` must be {wanted} and finite, got {shown(values.tolist())}. {advice}")
-    return tensor
+    words = "not negative" if zero else "positive"
+    return positive_tensor(tensor, name, advice, zero=zero, data=True, words=words)
 
 
 def _checked_data(observed):

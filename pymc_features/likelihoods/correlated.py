@@ -33,12 +33,11 @@ from pymc_features._checks import check_name
 from pymc_features.likelihoods.declaration import (
     as_response,
     check_dt,
-    check_one_set,
     check_parameter,
     prepare_observed,
 )
 from pymc_features.likelihoods.mean_square import feature_support_point
-from pymc_features.ops import check_dims, misfit_statistics, name_the_time_axis
+from pymc_features.ops import misfit_statistics, name_the_time_axis
 
 
 class CorrelatedNormalRV(SymbolicRandomVariable):
@@ -210,9 +209,8 @@ class CorrelatedNormal(Continuous):
     ) -> TensorVariable:
         check_name(name)
         if observed is not None:
-            observed = prepare_observed(mu, observed, name, dims)
-            dims = check_dims(dims, observed.ndim)
-            check_one_set(mu, sigma=sigma, correlation_time=correlation_time)
+            parameters = {"sigma": sigma, "correlation_time": correlation_time}
+            observed, dims = prepare_observed(mu, observed, name, dims, **parameters)
         dt = check_dt(dt, mu)
         name_the_time_axis(dims, mu, observed, dt)
         return super().__new__(

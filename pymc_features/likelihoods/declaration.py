@@ -1,15 +1,11 @@
 """Arguments of the likelihoods of histories, checked where the model is declared; warnings of posteriors."""
 
 import numpy as np
-import pymc as pm
 import pytensor
 import pytensor.tensor as pt
 from pymc.distributions.distribution import SymbolicRandomVariable
-from pymc.initial_point import make_initial_point_expression
-from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant, Variable
-from pytensor.graph.replace import graph_replace
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.random.op import RandomVariable
 
@@ -18,11 +14,13 @@ from pymc_features.exceptions import FeatureLikelihoodWarning
 from pymc_features.ops import (
     as_tensor,
     by_labels,
+    check_dims,
     check_shape,
     mean_square_discrepancy,
     response_step,
     was_simulated,
 )
+from pymc_features.ops.declared import cheap_values_at_start, positive_tensor
 
 LARGE_CONSTANT = 10**6  # bytes; beyond it Numba cannot keep a compiled graph on disk
 NOISE_FREE = 1e-12  # misfit over mean square of the data
@@ -82,18 +80,14 @@ def check_dt(dt, mu):
 
 def _check_positive(name, value):
     """Return a tensor; refuse numbers that are not positive and finite."""
-    tensor = as_tensor(value, name, ADVICE[name])
+    tensor = positive_tensor(value, name, ADVICE[name])
     if 0 in tensor.type.shape:
         raise ValueError(message(name, "one number or several", "none", ADVICE[name]))
-    if isinstance(tensor, Constant):
-        values = np.asarray(tensor.data)
-        if not (np.isfinite(values) & (values > 0)).all():
-            raise ValueError(message(name, "positive and finite", values.tolist(), ADVICE[name]))
     return tensor
 
 
-def prepare_observed(mu, observed, name, dims=None, *, gaps=False):
-    """Return the data, checked against `mu`.
+def prepare_observed(mu, observed, name, dims, *, gaps=False, **parameters):
+    """Return the data and the names of their axes, checked against `mu` and parameters of each sensor.
 
     With `gaps` they may have NaN, or be masked. As a shared variable they reach the density as they are: NaN
     in an array PyMC would impute silently, as free variables.
@@ -115,18 +109,14 @@ def prepare_observed(mu, observed, name, dims=None, *, gaps=False):
     _check_values(values, gaps)
     check_shape(mu.type.shape, shape_of(observed))
     if not is_graph and (values.nbytes > LARGE_CONSTANT or np.isnan(values).any()):
-        return pytensor.shared(values, name=f"{name}_data", shape=values.shape)
-    return observed
-
-
-def check_one_set(mu, **parameters):
-    """Refuse parameters with more dimensions than the sensors of the data: those are several likelihoods."""
-    mu = as_response(mu)
-    for name, value in parameters.items():
-        ndim = as_tensor(value, name).ndim
-        if ndim > mu.ndim - 1:
+        observed = pytensor.shared(values, name=f"{name}_data", shape=values.shape)
+    dims = check_dims(dims, observed.ndim)
+    for parameter, value in parameters.items():
+        ndim = as_tensor(value, parameter).ndim
+        if ndim > mu.ndim - 1:  # several likelihoods
             expected = "a scalar or have one value for each sensor of `observed`"
-            raise ValueError(message(name, expected, f"{ndim} dimensions"))
+            raise ValueError(message(parameter, expected, f"{ndim} dimensions"))
+    return observed, dims
 
 
 def _check_dimensions(mu, shape):
@@ -229,23 +219,11 @@ def _warn_about_noise(mu, observed):
     """
     if not was_simulated(mu):
         return
-    model = pm.modelcontext(None)
-    try:
-        upstream = set(ancestors([mu]))
-        if any(v.owner is not None and getattr(v.owner.op, "expensive", False) for v in upstream):
-            return
-        free = [rv for rv in model.free_RVs if rv in upstream]
-        points = make_initial_point_expression(
-            free_rvs=free,
-            rvs_to_transforms={},
-            initval_strategies=dict(model.rvs_to_initial_values),
-        )
-        mu = graph_replace(mu, dict(zip(free, points, strict=True)), strict=False)
-        data = _values(pt.as_tensor_variable(observed))
-        misfit = mean_square_discrepancy(mu.eval(mode=Mode(linker="py", optimizer=None)), data)
-        power = np.nanmean(np.square(data), axis=-1)
-    except Exception:  # a courtesy: whatever cannot be evaluated here is no error of the user's
+    if (values := cheap_values_at_start([mu])) is None:
         return
+    data = _values(pt.as_tensor_variable(observed))
+    misfit = mean_square_discrepancy(values[0], data)
+    power = np.nanmean(np.square(data), axis=-1)
     if (power > 0).any() and (misfit[power > 0] <= NOISE_FREE * power[power > 0]).all():
         warn_caller(
             "`observed` equals the response at the model's initial point: the data have no noise. The "

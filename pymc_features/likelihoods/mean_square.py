@@ -37,7 +37,6 @@ from pymc_features._checks import as_numbers, check_choice, check_name, shown
 from pymc_features.likelihoods.declaration import (
     ADVICE,
     as_response,
-    check_one_set,
     check_parameter,
     prepare_observed,
     shape_of,
@@ -178,10 +177,8 @@ class FeatureLikelihood(Continuous):
     ) -> TensorVariable:
         check_name(name)
         if observed is not None:
-            observed = prepare_observed(mu, observed, name, dims, gaps=True)
-            dims = check_dims(dims, observed.ndim)
             m = kwargs.get("m", cls.rv_types["feature"].degrees_of_freedom)
-            check_one_set(mu, sigma=sigma, m=m)
+            observed, dims = prepare_observed(mu, observed, name, dims, gaps=True, sigma=sigma, m=m)
             warn_about_the_posterior(cls.__name__, m, mu, sigma, observed)
         name_the_time_axis(dims, mu, observed)
         return super().__new__(cls, name, mu, sigma, observed=observed, dims=dims, **kwargs)

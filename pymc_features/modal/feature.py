@@ -13,11 +13,8 @@ import pytensor.tensor as pt
 import xarray as xr
 from numpy.typing import ArrayLike
 from pymc.distributions.distribution import Continuous
-from pymc.initial_point import make_initial_point_expression
 from pytensor.compile.mode import Mode
-from pytensor.graph.basic import Constant
 from pytensor.graph.replace import graph_replace, vectorize_graph
-from pytensor.graph.traversal import ancestors
 from pytensor.tensor import TensorLike, TensorVariable
 
 from pymc_features._checks import (
@@ -44,6 +41,7 @@ from pymc_features.modal.matching import (
 )
 from pymc_features.modal.structural_modes import SymbolicModes
 from pymc_features.ops import as_tensor, known_dims
+from pymc_features.ops.declared import cheap_values_at_start, positive_tensor, values_at_start
 
 BY_ENTRY = "NORMAL"  # the law of each entry of a shape
 #: Degrees of freedom of 1 - MAC, which count for nothing by entry.
@@ -267,14 +265,10 @@ def checked_parameters(
 
 def scale(name, value, n, values=None, sd=None):
     """A tensor (n,); numbers are refused where not positive, or zero where all values have an sd."""
-    tensor = as_tensor(value, name)
+    allow_zero = values is not None and (sd[~np.isnan(values)] > 0.0).all()
+    tensor = positive_tensor(value, name, zero=allow_zero)
     if tensor.ndim > 1 or (tensor.ndim == 1 and tensor.type.shape[0] not in (None, 1, n)):
         raise ValueError(message(name, f"one value or one for each of the {n} modes", tensor.type.shape))
-    if isinstance(tensor, Constant):
-        allow_zero = values is not None and (sd[~np.isnan(values)] > 0.0).all()
-        legal = np.isfinite(tensor.data) & ((tensor.data > 0) | (allow_zero & (tensor.data == 0)))
-        if not legal.all():
-            raise ValueError(message(name, "positive and finite", np.asarray(tensor.data).tolist()))
     return pt.broadcast_to(tensor, (n,))
 
 
@@ -367,9 +361,8 @@ def match_modes(
     [rv] = found
     if isinstance(posterior, xr.DataTree):
         posterior = check_group(posterior, "posterior", "posterior", "Pass what `sample` returned.")
-    if posterior is None:
-        sizes, rows = {}, [value[None] for value in initial_values(model)]
-    else:
+    sizes = {}
+    if posterior is not None:
         missing = [v.name for v in model.free_RVs if v.name not in posterior]
         if missing:
             raise refusal("`posterior` must have all free variables of the model", f"none of {missing}")
@@ -380,7 +373,8 @@ def match_modes(
         draws = (posterior[v.name].transpose(*sizes, ...).values.astype(v.dtype) for v in model.free_RVs)
         rows = [values.reshape((-1, *values.shape[2:])) for values in draws]
     with model:
-        match = evaluate(model, match_of(rv), rows)
+        match = match_of(rv)
+        match = values_at_start(match, model) if posterior is None else evaluate(model, match, rows)
     fields = {
         name: ((*sizes, "mode"), values.reshape((*sizes.values(), -1)))
         for name, values in zip(("model_mode", *Match._fields[1:]), match, strict=True)
@@ -408,42 +402,25 @@ def warn_of_strangers(name, table, dims):
         )
 
 
-def initial_values(model) -> list[np.ndarray]:
-    """Values of the free variables at the model's initial point."""
-    expressions = make_initial_point_expression(
-        free_rvs=model.free_RVs, rvs_to_transforms={}, initval_strategies=dict(model.rvs_to_initial_values)
-    )
-    return [np.asarray(x.eval(mode=ONCE)) for x in expressions]
-
-
 def evaluate(model, match: Match, rows) -> Match:
     """Partners, arrays (n, i), at n values of each free variable."""
     inputs = [rv.type() for rv in model.free_RVs]
     outputs = graph_replace(list(match), dict(zip(model.free_RVs, inputs, strict=True)), strict=False)
     batches = [pt.tensor(dtype=x.dtype, shape=(None, *x.type.shape)) for x in inputs]
     outputs = vectorize_graph(outputs, dict(zip(inputs, batches, strict=True)))
-    n = len(rows[0]) if rows else 1
-    mode = ONCE if n == 1 else OFTEN
-    function, parts = pytensor.function(batches, outputs, mode=mode, on_unused_input="ignore"), []
-    for start in range(0, n, ROWS):
-        found = function(*(x[start : start + ROWS] for x in rows))
-        parts.append([np.broadcast_to(x, (min(ROWS, n - start), x.shape[-1])) for x in found])
+    function, parts = pytensor.function(batches, outputs, mode=OFTEN, on_unused_input="ignore"), []
+    for some in np.array_split(np.arange(len(rows[0])), -(-len(rows[0]) // ROWS)):
+        found = function(*(x[some] for x in rows))
+        parts.append([np.broadcast_to(x, (some.size, x.shape[-1])) for x in found])
     return Match(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def warn_at_start(rv):
     """Warn if the shape of an identified mode is like none at the model's initial point."""
-    model = pm.modelcontext(None)
-    try:
-        match = match_of(rv)
-        if any(
-            v.owner is not None and getattr(v.owner.op, "expensive", False) for v in ancestors(list(match))
-        ):
-            return
-        found = evaluate(model, match, [value[None] for value in initial_values(model)])
-        frequency, agreement = found.frequency[0], found.mac[0]
-    except Exception:  # a courtesy: whatever cannot be evaluated here is no error of the user's
+    model, match = pm.modelcontext(None), match_of(rv)
+    if (values := cheap_values_at_start([match.frequency, match.mac])) is None:
         return
+    frequency, agreement = values
     strangers = np.flatnonzero(agreement < 0.5)
     if strangers.size:
         labels = names_of(rv, model)

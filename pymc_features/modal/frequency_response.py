@@ -8,9 +8,7 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import xarray as xr
-from pytensor.gradient import disconnected_type
-from pytensor.graph.basic import Apply, Constant
-from pytensor.graph.op import Op
+from pytensor.graph.basic import Apply
 from pytensor.tensor import TensorLike, TensorVariable
 
 from pymc_features._checks import (
@@ -34,12 +32,14 @@ from pymc_features.modal.transfer import (
     known_directions,
     without_rest,
 )
-from pymc_features.ops import as_tensor
+from pymc_features.ops.arrays import RowOp
+from pymc_features.ops.declared import cheap_values_at_start, positive_tensor
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.population import take_batches
 from pymc_features.simulators.request import picked_by_name
 from pymc_features.structures import Structure
 
+DIMS = "reference", "response", "frequency"
 SCALES = {"sigma_f": 0.02, "sigma_zeta": 0.2, "sigma_phi": 0.1}  # of the half-normal priors
 CORRELATION = 0.6  # of errors of ln f of two modes: a missing mass lowers all; 0.5 held 84 % of k1 with one
 GAIN = 0.01  # of the sensitivity of a sensor
@@ -47,7 +47,6 @@ IN_PEAK = 3.0  # lines of Hann segments in a half-power width: with 2.4 damping 
 POOR = 1.2  # mean square of residuals over their variance, above which lines alone are warned of
 CLOSE, ALIKE = 0.01, 0.03  # errors of ln f and shapes that modes are matched with, where the model has less
 SIGNATURE = "(m),(m),(m,s),(e),(n,k),(d,q),(e,d,d),()->(d)"
-NDIMS = 1, 1, 2, 1, 2, 2, 3, 0, 1  # of the inputs of `TransferLogp`
 
 
 class FrequencyResponse:
@@ -156,19 +155,20 @@ class FrequencyResponse:
         shapes = found.shapes[:, [unique.index(i) for i in places]] * signs
         if (m := found.frequencies.type.shape[0]) is not None and m < n:
             raise ValueError(message("n_modes", f"at least {n}, the number of modes that were measured", m))
-        given = {"sigma_f": sigma_f, "sigma_zeta": sigma_zeta, "sigma_phi": sigma_phi}
-        scales = {}
-        for key, value in given.items():
+        sigmas = []
+        for key, value in {"sigma_f": sigma_f, "sigma_zeta": sigma_zeta, "sigma_phi": sigma_phi}.items():
             if model_error is None:
-                scales[key] = None
+                value = pt.zeros(())
             elif value is None:
-                scales[key] = pm.HalfNormal(f"{name}_{key}", SCALES[key])
+                value = pm.HalfNormal(f"{name}_{key}", SCALES[key])
             else:
-                scales[key] = positive(key, value)
+                value = positive_tensor(value, key)
+                if value.ndim:
+                    raise ValueError(message(key, "one value", f"{value.ndim} dimensions"))
+            sigmas.append(value)
         q_0, root, parts = standardised(fit, is_force)
         n_out = fit.modes.outputs.shape[1]
-        sigmas = pt.stack([pt.zeros(()) if x is None else x for x in scales.values()])
-        given = found.frequencies, found.damping_ratios, shapes, sigmas, q_0, root, parts, n_out
+        given = found.frequencies, found.damping_ratios, shapes, pt.stack(sigmas), q_0, root, parts, n_out
         rv = pm.CustomDist(
             name,
             *given,
@@ -191,14 +191,6 @@ class FrequencyResponse:
         return rv
 
 
-def positive(name, value) -> TensorVariable:
-    """A tensor (); a number is refused where it is not positive."""
-    tensor = as_tensor(value, name)
-    if tensor.ndim or (isinstance(tensor, Constant) and not 0.0 < tensor.data < np.inf):
-        raise ValueError(message(name, "positive and finite, one value", shown(value)))
-    return tensor
-
-
 class MeasuredModes(NamedTuple):
     """Frequency response functions, and the modes that they show."""
 
@@ -217,29 +209,23 @@ def measured_modes(observed) -> MeasuredModes:
     if len(f) < 2 or not np.isfinite(h).all() or not (np.diff(f) > 0.0).all() or f[0] <= 0.0:
         advice = "Choose a band by .sel(frequency=slice(low, high)), and leave out lines without a value."
         raise ValueError(message("observed", "finite, at ascending frequencies above zero", shown(h), advice))
-    variance = None
+    variance = [None] * h.shape[1]
     if "variance" in observed:
-        variance = observed["variance"].transpose("response", "reference", "frequency").values
-        if not (np.isfinite(variance) & (variance > 0.0)).all():
-            place = np.argwhere(~(np.isfinite(variance) & (variance > 0.0)))[0, :2]
-            names = [observed[dim].values[i] for dim, i in zip(("response", "reference"), place, strict=True)]
-            got = f"another one of response {names[0]!r} to {names[1]!r}"
+        variance = observed["variance"].transpose(*DIMS).values
+        wrong = np.argwhere(~(np.isfinite(variance) & (variance > 0.0)))
+        if len(wrong):
+            reference, response = (observed[dim].values[i] for dim, i in zip(DIMS, wrong[0], strict=False))
+            got = f"another one of response {response!r} to {reference!r}"
             raise ValueError(message("variance", "positive at all lines", got, "Leave dead channels out."))
     if (quantity := attrs.get("quantity", "accelerance")) not in POWERS:
         raise ValueError(message("quantity", f"one of {', '.join(POWERS)}", shown(quantity)))
     numbers = {key: check_number(attrs[key], key) for key in ("decay", "duration", "dt") if key in attrs}
     lines = Lines(f, POWERS[quantity], **numbers)
     blows = observed["blow"].values if "blow" in observed else [attrs.get("blow", np.nan)] * h.shape[1]
+    unit = np.ones((1, len(f)))
     experiments = [
-        Experiment(
-            np.array([r]),
-            np.ones((1, len(f))),
-            h[:, r],
-            None if variance is None else variance[:, r],
-            0.0,
-            blow,
-        )
-        for r, blow in enumerate(map(float, blows))
+        Experiment(np.array([r]), unit, h[:, r], variance[r], blow=float(blow))
+        for r, blow in enumerate(blows)
     ]
     fit = fit_modes(experiments, lines, gain=GAIN)
     if not len(fit.modes.natural):
@@ -357,7 +343,7 @@ def misfit_of(frequencies, ratios, shapes, sigmas, q_0, root, parts, n_out) -> M
     return Misfit(match, scaled, factors, z, covariance)
 
 
-class TransferLogp(Op):
+class TransferLogp(RowOp):
     """Log-likelihood of the measured modes, and its gradient by what the model gives.
 
     Inputs are frequencies (m,) [Hz], damping ratios (m,) and shapes (m, s) of the model, the errors (3,) of
@@ -365,54 +351,24 @@ class TransferLogp(Op):
     responses, and the data (d,), zero.
     """
 
-    __props__ = ()
+    ndims = 1, 1, 2, 1
+    n_slopes = n_connected = len(ndims)
     simulates = True
 
     def make_node(self, *inputs):
         inputs = [pt.as_tensor_variable(x) for x in inputs]
-        rows = (None,) * max(x.ndim - ndim for x, ndim in zip(inputs, NDIMS, strict=True))
-        shapes = [(), *(x.type.shape[x.ndim - ndim :] for x, ndim in zip(inputs[:4], NDIMS, strict=False))]
-        return Apply(self, inputs, [pt.tensor(dtype="float64", shape=(*rows, *shape)) for shape in shapes])
+        return Apply(self, inputs, self.outputs(inputs))
 
-    def perform(self, node, inputs, output_storage):
-        for storage, result in zip(output_storage, self.run(inputs), strict=True):
-            storage[0] = result
-
-    def run(self, inputs) -> tuple[np.ndarray, ...]:
-        """Log-likelihoods and gradients for arrays."""
-        batch = np.broadcast_shapes(*(x.shape[: x.ndim - d] for x, d in zip(inputs[:4], NDIMS, strict=False)))
-        arrays = [
-            np.broadcast_to(x, batch + x.shape[x.ndim - d :]).reshape(-1, *x.shape[x.ndim - d :])
-            for x, d in zip(inputs[:4], NDIMS, strict=False)
-        ]
-        results = logp_and_gradient(*arrays, *inputs[4:])
-        return tuple(x.reshape((*batch, *x.shape[1:])) for x in results)
-
-    def infer_shape(self, node, shapes):
-        rows = [shape[: len(shape) - d] for shape, d in zip(shapes[:4], NDIMS, strict=False)]
-        batch = pt.broadcast_shape(*rows, arrays_are_shapes=True) if any(rows) else ()
-        return [
-            (*batch, *core)
-            for core in [(), *(s[len(s) - d :] for s, d in zip(shapes[:4], NDIMS, strict=False))]
-        ]
-
-    def connection_pattern(self, node):
-        """What the model gives counts."""
-        return [[i < 4] * 5 for i in range(len(node.inputs))]
+    def of_rows(self, rows, constants, n) -> tuple[np.ndarray, ...]:
+        """Log-likelihoods (n,) and gradients."""
+        return logp_and_gradient(*(np.broadcast_to(x, (n, *x.shape[1:])) for x in rows), *constants)
 
     def pullback(self, inputs, outputs, cotangents):
         """By the other outputs."""
-        [weight, *_] = cotangents
-        gradients = []
-        for x, slope in zip(inputs[:4], outputs[1:], strict=True):
-            whole = weight.dimshuffle(*range(weight.ndim), *["x"] * (slope.ndim - weight.ndim)) * slope
-            gradients.append(
-                whole.sum(axis=tuple(range(slope.ndim - x.ndim))) if slope.ndim > x.ndim else whole
-            )
-        return [*gradients, *(disconnected_type() for _ in inputs[4:])]
+        return self.pulled_back(cotangents[0], inputs, outputs[1:])
 
 
-take_batches(TransferLogp, first=4)
+take_batches(TransferLogp, first=TransferLogp.n_slopes)
 run_in_python(TransferLogp)
 
 
@@ -455,17 +411,9 @@ def logp_and_gradient(
 
 def warn_at_start(name, found, observed, fit: TransferFit) -> None:
     """Name peaks without a mode, and modes without a peak, at the start of a model; refuse undamped modes."""
-    model = pm.modelcontext(None)
-    try:
-        function = model.compile_fn(
-            model.replace_rvs_by_values([found.frequencies, found.damping_ratios]),
-            inputs=model.value_vars,
-            mode="FAST_COMPILE",
-            on_unused_input="ignore",
-        )
-        f, ratios = function(model.initial_point())
-    except Exception:  # what cannot be evaluated here is no error of the user's
+    if (values := cheap_values_at_start([found.frequencies, found.damping_ratios])) is None:
         return
+    f, ratios = values
     if not (ratios[f > 0.0] > 0.0).all():
         got = f"ratios of {ratios[f > 0.0].min():.3g}"
         raise ValueError(message("structure", "damped in all modes but those of a rigid body", got))

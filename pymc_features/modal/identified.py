@@ -57,15 +57,19 @@ class Identified(NamedTuple):
         return [name if k == 1 else f"{name}.{j}" for j in range(k) for name in self.columns]
 
     @property
+    def rows(self) -> np.ndarray:
+        """The data with a row for each mode, those of its identifications one after another."""
+        return np.stack([*self.columns.values()], axis=-1).reshape(len(self.labels), -1)
+
+    @property
     def values(self) -> np.ndarray:
-        """The data with a row for each mode, those of its identifications one after another, zero for NaN."""
-        return np.nan_to_num(np.stack([*self.columns.values()], axis=-1)).reshape(len(self.labels), -1)
+        """The rows, zero for NaN."""
+        return np.nan_to_num(self.rows)
 
     @property
     def known(self) -> np.ndarray:
         """1 where an entry of `values` is known, else 0."""
-        known = ~np.isnan(np.stack([*self.columns.values()], axis=-1))
-        return known.reshape(len(self.labels), -1).astype(np.float64)
+        return (~np.isnan(self.rows)).astype(np.float64)
 
     def scatter(self, by_entry: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What identifications scatter besides the error of the model.
@@ -94,14 +98,16 @@ def identified(observed, labels=None, *, damping: bool = False) -> Identified:
         labels = getattr(observed, "labels", None) if labels is None else labels
     else:
         given = {"frequencies": observed}
-    frequencies = ModalData(given["frequencies"]).frequencies
+    checked = {name: given.get(name) for name in ("damping_ratios", "damping_sd") if damping}
+    modal = ModalData(given["frequencies"], **checked)
+    frequencies = modal.frequencies
     arrays = {"frequencies": frequencies}
     arrays["shapes"], arrays["shape_sd"] = _shapes(
         given.get("shapes"), given.get("shape_sd"), frequencies.size
     )
     arrays["sd"] = _spreads(given.get("frequency_sd"), frequencies, "frequency_sd", "Pass Hz") / frequencies
     if damping:
-        arrays["damping"], arrays["damping_sd"] = _damping(given, frequencies)
+        arrays["damping"], arrays["damping_sd"] = _damping(modal)
     if labels is None:
         labels = _numbers(doubles(np.log(frequencies), arrays["sd"], arrays["shapes"]))
     owner, names = _labels(labels, frequencies.size)
@@ -128,14 +134,10 @@ def _spreads(sd, values, name, advice):
     return np.nan_to_num(sd)
 
 
-def _damping(given, frequencies):
+def _damping(modal: ModalData):
     """Damping ratios, NaN where there is none, and standard deviations of their logarithms, zero for none."""
-    names = ("damping_ratios", "damping_sd")
-    ratios, sd = (
-        np.full(frequencies.shape, np.nan) if getattr(modal, name) is None else getattr(modal, name)
-        for modal in [ModalData(frequencies, **{name: given.get(name) for name in names})]
-        for name in names
-    )
+    unknown = np.full(len(modal), np.nan)
+    ratios, sd = (unknown if x is None else x for x in (modal.damping_ratios, modal.damping_sd))
     advice = "Leave out `sigma_zeta`, or read the damping ratios as well."
     if np.isnan(ratios).all():
         raise refusal("`damping_ratios` must be known where `sigma_zeta` is given", "none", advice)

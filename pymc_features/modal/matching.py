@@ -14,12 +14,12 @@ from pymc.distributions.shape_utils import maybe_resize, rv_size_is_none
 from pymc.logprob.abstract import _logprob
 from pymc.pytensorf import normalize_rng_param
 from pytensor.graph.basic import Apply, Variable
-from pytensor.graph.op import Op
 from pytensor.tensor import TensorVariable
 from pytensor.tensor.linalg import cholesky, solve_triangular
 from pytensor.tensor.random.utils import normalize_size_param
 from scipy.optimize import linear_sum_assignment
 
+from pymc_features.ops.arrays import ArrayOp
 from pymc_features.ops.numba_dispatch import run_in_python
 from pymc_features.ops.population import take_batches
 
@@ -38,23 +38,18 @@ def one_minus_mac(shapes, parts, known):
     return pt.switch(has_shape, pt.switch(there, 1.0 - mac, 1.0), 0.0)
 
 
-class Assignment(Op):
+class Assignment(ArrayOp):
     """Ones where a row takes a column, each its own, at the largest total score; zeros elsewhere.
 
     Scores (..., row, column), with any number of leading batch dimensions and rows <= columns; -inf and NaN
     are taken last. Constant between the points where the best assignment changes: its derivative is zero.
     """
 
-    __props__ = ()
-
     def make_node(self, score):
         score = pt.as_tensor_variable(score).astype("float64")
         if score.ndim < 2:
             raise ValueError(f"`score` must be (..., row, column), got {score.ndim} dimensions.")
         return Apply(self, [score], [score.type()])
-
-    def perform(self, node, inputs, output_storage):
-        [output_storage[0][0]] = self.run(inputs)
 
     def run(self, inputs) -> tuple[np.ndarray]:
         """The assignments of arrays."""

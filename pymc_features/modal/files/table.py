@@ -15,7 +15,6 @@ An empty cell, or nan, is an entry that was not measured. Complex entries are wr
 import csv
 import re
 from collections import Counter
-from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -57,25 +56,33 @@ _COMPLEX = re.compile(r"([-+]?[^-+ij]+(?:[eE][-+]?\d+)?)([-+][^-+ij]+(?:[eE][-+]
 
 def read_table(path: Path, names: dict[str, str], wanted: list | None) -> dict:
     """The modes of a table; `names` is what it calls quantities, `wanted` its channels, if not all others."""
-    file, lines = path.name, Lines(path)
-    rows = ((f"{file}, line {number}", line) for number, line in lines if not line.startswith(COMMENTS))
-    where, first = next(rows, ("", None))
-    if first is None:
+    file, separator, rows = path.name, None, []  # place and cells of each row, the header first
+    for number, line in Lines(path):
+        if not line.startswith(COMMENTS):
+            where = f"{file}, line {number}"
+            separator = separator or next((mark for mark in SEPARATORS if mark in line), ",")
+            rows.append((where, _cells(line, separator, where)))
+    if not rows:
         raise ValueError(f"{file} must hold modes, it is empty. Save a row for each mode, below a header.")
-    separator = next((mark for mark in SEPARATORS if mark in first), ",")
-    header = _cells(first, separator, where)
+    (_, header), *body = rows
     _check_header(file, header)
-    body = _rows(rows, separator, len(header))
+    for where, cells in body:
+        if len(cells) != len(header):
+            advice = "Complete or cut the row; a decimal comma must be a point."
+            raise refusal(f"{where}: rows must have {len(header)} cells like the header", len(cells), advice)
+
+    def column(place: int, may_be_complex: bool = False) -> np.ndarray:
+        return np.array([_number(cells[place], header[place], at, may_be_complex) for at, cells in body])
+
     below = "{} must hold modes, there is none below its header. Add a row for each {}."
     of_modes = {k: match[1] for k, label in enumerate(header) if (match := _OF_MODE.fullmatch(label))}
     if len(of_modes) > 1 and not names:  # a row for each test
         labels = {label: k for k, label in of_modes.items()}
-        columns, count = _columns(body, header, [*labels.values()], entries=())[:2]
-        table = np.array([columns[k] for k in labels.values()]).T
+        table = np.array([column(k) for k in labels.values()]).T
         there = ~np.isnan(table)
         if not there.any():
             raise ValueError(below.format(file, "test"))
-        return {"frequencies": table[there], "labels": np.tile(list(labels), (count, 1))[there].tolist()}
+        return {"frequencies": table[there], "labels": np.tile(list(labels), (len(body), 1))[there].tolist()}
     places = labelled_quantities(header, names, file)
     whole = sorted({"shapes", "shape_sd", "shapes_imaginary", "channels"} & places.keys())
     if whole:
@@ -84,30 +91,21 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> dict:
         raise refusal(what, got, "Rename it after its channel.")
     channels, spreads = _channels(file, header, places, wanted)
     mode = places.pop("mode", None)
-    needed = [*places.values(), *channels.values(), *spreads.values()]
-    columns, count, labels = _columns(body, header, needed, {*channels.values()}, mode)
-    if not count:
+    if not body:
         raise ValueError(below.format(file, "mode"))
-    found = mode_values({name: np.array(columns[place]) for name, place in places.items()}, file)
-    if len(set(labels)) < count and mode is not None and "" not in labels:
+    found = mode_values({name: column(place) for name, place in places.items()}, file)
+    labels = [] if mode is None else [cells[mode] for _, cells in body]
+    if len({*labels}) < len(labels) and "" not in labels:
         found["labels"] = labels
     if channels:
         found["channels"] = list(channels)
-        found["shapes"] = np.array([columns[place] for place in channels.values()]).T
+        found["shapes"] = np.array([column(place, True) for place in channels.values()]).T
     if channels and spreads:
-        unknown = [np.nan] * count
-        found["shape_sd"] = np.array([columns.get(spreads.get(name), unknown) for name in channels]).T
+        unknown = np.full(len(body), np.nan)
+        found["shape_sd"] = np.array(
+            [column(spreads[name]) if name in spreads else unknown for name in channels]
+        ).T
     return found
-
-
-def _rows(rows, separator: str, count: int) -> Iterator[tuple[str, list[str]]]:
-    """Place and cells of each row, as many as the header has."""
-    for where, line in rows:
-        cells = _cells(line, separator, where)
-        if len(cells) != count:
-            advice = "Complete or cut the row; a decimal comma must be a point."
-            raise refusal(f"{where}: rows must have {count} cells like the header", len(cells), advice)
-        yield where, cells
 
 
 def _cells(line: str, separator: str, where: str) -> list[str]:
@@ -116,16 +114,6 @@ def _cells(line: str, separator: str, where: str) -> list[str]:
     except csv.Error as error:
         what = f"{where}: cells must be separated by {separator!r}"
         raise refusal(what, error, "Correct the line.") from None
-
-
-def _columns(body, header, needed, entries, mode=None) -> tuple[dict[int, list], int, list[str]]:
-    """Numbers in the columns that are needed, how many rows there are, and the texts of the column `mode`."""
-    columns, labels = {place: [] for place in needed}, []
-    for where, cells in body:
-        labels.append("" if mode is None else cells[mode])
-        for place, numbers in columns.items():
-            numbers.append(_number(cells[place], header[place], where, place in entries))
-    return columns, len(labels), labels
 
 
 def _check_header(file: str, header: list[str]) -> None:

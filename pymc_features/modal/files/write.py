@@ -1,6 +1,5 @@
 """Identified modes as files that other programs read: CSV, JSON, Universal Files."""
 
-import csv
 import json
 import re
 from os import PathLike
@@ -64,26 +63,18 @@ def _per_mode(modal: ModalData) -> dict[str, np.ndarray]:
 
 
 def _write_csv(modal: ModalData, path) -> None:
+    import pandas as pd  # slow to import
+
     columns = {} if modal.labels is None else {"mode": modal.labels}
     columns |= {f"{name} [Hz]" if name == "frequency" else name: v for name, v in _per_mode(modal).items()}
     for k, name in enumerate(modal.channels):
         columns[name] = modal.shapes[:, k]
+        if modal.is_complex:
+            columns[name] = [f"{x.real:.17g}{x.imag:+.17g}j" for x in columns[name]]
+            columns[name] = np.where(np.isnan(modal.shapes[:, k]), None, columns[name])
         if modal.shape_sd is not None:
             columns[f"{name}_sd"] = modal.shape_sd[:, k]
-    with path.open("w", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(columns)
-        rows.writerows(zip(*([_cell(value) for value in values] for values in columns.values()), strict=True))
-
-
-def _cell(value) -> str:
-    if isinstance(value, str):
-        return value
-    if np.isnan(value):
-        return ""
-    if np.iscomplexobj(value):
-        return f"{value.real:.17g}{value.imag:+.17g}j"
-    return f"{value:.17g}"
+    pd.DataFrame(columns).to_csv(path, index=False, float_format="%.17g", lineterminator="\n")
 
 
 def _write_json(modal: ModalData, path) -> None:

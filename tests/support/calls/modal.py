@@ -69,6 +69,7 @@ CALLS = {
         },
         instead={
             "pymc_features.modal.feature.evaluate": work,
+            "pymc_features.modal.feature.values_at_start": work,
             "pymc_features.modal.feature.match_of": str,
         },
     ),
