@@ -21,6 +21,7 @@ from pymc_features.exceptions import SamplingWarning
 from pymc_features.external.emulator import Coordinates, Emulator
 from pymc_features.external.replacement import Part, replaced
 from pymc_features.external.workers.calls import one_thread_each
+from pymc_features.inference.compiled import unit_cube
 from pymc_features.inference.parameters import (
     Unconstrained,
     check_continuous,
@@ -28,7 +29,6 @@ from pymc_features.inference.parameters import (
     to_unconstrained,
 )
 from pymc_features.inference.sample import sample
-from pymc_features.inference.unit_cube import unit_cube
 from pymc_features.progress import PartProgress
 from pymc_features.smc import check_run, population_logp, prior_points, sample_smc
 

@@ -16,8 +16,8 @@ from pymc_features._checks import message
 from pymc_features.external.emulator import PREDICTED_AT_ONCE, Emulator
 from pymc_features.external.simulator import ExternalSimulator
 from pymc_features.fingerprint import fingerprint
+from pymc_features.inference.compiled import parts_of
 from pymc_features.inference.parameters import Unconstrained
-from pymc_features.inference.unit_cube import parts_of
 from pymc_features.ops import ExternalResponse
 from pymc_features.smc import Outputs, RowFunction, batched_graph
 

@@ -27,13 +27,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.smc.proposals.arms import GRADIENT_COST
-from pymc_features.smc.proposals.ascent import climb
-from pymc_features.smc.proposals.fitted import heavy_tailed
-from pymc_features.smc.proposals.mixture import log_sum, pareto_k, pareto_smoothed
-from pymc_features.smc.proposals.pool import LARGEST_K
+from pymc_features.smc.kernels.chains import GRADIENT_COST
+from pymc_features.smc.proposals.pool import LARGEST_K, log_sum, pareto_k, pareto_smoothed
 from pymc_features.smc.proposals.proposal import Mixture, StudentT, distinct, fit_mixture
-from pymc_features.smc.proposals.reference import WIDEST, Mode, Reference, laplace_mode, nearest
+from pymc_features.smc.proposals.reference import WIDEST, Mode, Reference, climb, laplace_mode, nearest
+from pymc_features.smc.proposals.unbending import heavy_tailed
 
 WIDTHS, WIDE_SHARES = (1.05, 1.6), (0.85, 0.15)  # of the fit to the run's draws, over it, and their shares
 HEAVIEST = 16  # draws of the fit from which climbs start, at most, and no more than from the prior

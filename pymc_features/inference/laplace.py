@@ -18,7 +18,7 @@ from pymc_features.inference.parameters import (
     initial_values,
 )
 from pymc_features.smc import find_reference, likelihood_kinds, population_logp, prior_points
-from pymc_features.smc.proposals.ascent import climb, curvature
+from pymc_features.smc.proposals.reference import climb, curvature
 
 MAX_NEWTON, MAX_HALVINGS = 30, 30
 NO_GAIN = 1e-12  # in the log-density, of the next step: at a mode

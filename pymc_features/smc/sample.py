@@ -1,14 +1,30 @@
 """`sample_smc`: PyMC's function with a better default kernel and a result that can be saved."""
 
+import copy
+import json
 import os
-from concurrent.futures import Executor
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from queue import Empty, SimpleQueue
 
 import numpy as np
 import pymc as pm
+import pymc.smc.sampling
+import pytensor.tensor as pt
 import xarray as xr
+from pymc.backends.ndarray import NDArray
+from pymc.distributions.simulator import SimulatorRV
+from pymc.progress_bar import SMCProgressBarManager
+from pymc.pytensorf import compile as compile_function
 from pymc.sampling.parallel import ParallelSamplingError
 from pymc.smc.kernels import SMC_KERNEL
+from pymc.smc.sampling import _build_trace_from_kernel_state as draw_by_draw
+from pymc.smc.sampling import _sample_smc_sequentially as one_after_another
 from pymc.util import RandomState
+from pymc.vartypes import discrete_types
+from pytensor.graph.basic import Constant
+from pytensor.graph.replace import vectorize_graph
 from pytensor.graph.traversal import ancestors
 
 from pymc_features._checks import (
@@ -22,13 +38,12 @@ from pymc_features._checks import (
 )
 from pymc_features.exceptions import CheckpointError, NoSpreadError, ToleranceNotReachedError
 from pymc_features.external.workers.calls import one_thread_each
+from pymc_features.smc.density.graph import is_random, largest_result, simulator_functions
+from pymc_features.smc.density.rows import BATCH_BYTES, with_mode
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.kernels.checkpoint import remembered
 from pymc_features.smc.kernels.persistent import PersistentSMC
-from pymc_features.smc.results import likelihood_kinds, savable
-from pymc_features.smc.trace import all_draws_at_once
-from pymc_features.smc.workers.chains import chains_on
-from pymc_features.smc.workers.workers import check_workers, open_workers
+from pymc_features.smc.workers import Workers, check_workers, open_workers
 
 MOST_RUNS = 10_000  # chains, or processes
 
@@ -184,3 +199,272 @@ def is_parallel_by_itself(model) -> bool:
 def processors() -> int:
     """Number of processors that this process may use."""
     return os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
+
+
+PER_CHAIN = ("log_marginal_likelihood", "log_marginal_likelihood_se", "ess", "pareto_k", "largest_share")
+
+
+def savable(idata: xr.DataTree) -> xr.DataTree:
+    """Return the result with per-stage statistics as float arrays (chain, stage), padded with NaN.
+
+    With more than one chain, `pm.sample_smc` returns them as object arrays or lists of unequal lengths,
+    which neither netCDF nor Zarr can hold.
+
+    Parameters
+    ----------
+    idata : DataTree
+        As `pm.sample_smc` returns it; left as it is.
+
+    Returns
+    -------
+    DataTree
+        The same groups; `sample_stats` has the dimensions (chain, stage), but for
+        `log_marginal_likelihood`, its standard error, `ess`, `pareto_k` and `largest_share`, which belong to
+        the chain.
+    """
+    result = idata.copy()
+    if "sample_stats" not in result.children:
+        return result
+    stats = result["sample_stats"].to_dataset()
+    chains = np.atleast_1d(result["posterior"]["chain"].values)
+    padded = {
+        name: (("chain", "stage"), pad_stages(variable.values, len(chains)))
+        for name, variable in stats.data_vars.items()
+    }
+    lengths = {values.shape[1] for _, values in padded.values()}
+    n_stages = max(lengths, default=0)
+    padded = {
+        name: (
+            dims,
+            np.pad(values, [(0, 0), (0, n_stages - values.shape[1])], constant_values=np.nan),
+        )
+        for name, (dims, values) in padded.items()
+    }
+    for name in PER_CHAIN:
+        if name in padded:
+            padded[name] = (("chain",), last_values(padded[name][1]))
+    attrs = {key: _plain(value) for key, value in stats.attrs.items()}
+    coords = {"chain": chains, "stage": np.arange(n_stages)}
+    result["sample_stats"] = xr.DataTree(xr.Dataset(padded, coords=coords, attrs=attrs))
+    return result
+
+
+def last_values(stages) -> np.ndarray:
+    """The last number of each chain (chain,); NaN where there is none."""
+    numbers = [row[~np.isnan(row)] for row in stages]
+    return np.array([row[-1] if row.size else np.nan for row in numbers])
+
+
+def pad_stages(values, n_chains: int) -> np.ndarray:
+    """Return ragged per-chain lists as a float array (chain, stage), NaN behind each end."""
+    values = np.asarray(values)
+    if values.dtype != object and values.ndim == 2 and values.shape[0] == n_chains:
+        return values.astype(np.float64)
+    rows = list(values) if n_chains > 1 else [np.ravel(values)]
+    rows = [np.ravel(np.asarray(row, dtype=np.float64)) for row in rows]
+    padded = np.full((n_chains, max(map(len, rows))), np.nan)
+    for row, stages in zip(padded, rows, strict=True):
+        row[: len(stages)] = stages
+    return padded
+
+
+def _plain(value):
+    """Attribute values that netCDF can hold."""
+    return value if isinstance(value, str | int | float | np.number) else str(value)
+
+
+def likelihood_kinds(model) -> str:
+    """What each likelihood of a model is a density of, as JSON: by this evidences can be compared.
+
+    "data" of PyMC's distributions and of ours with ``density="data"``; the class of those of a feature; of a
+    simulator node the tolerance.
+    """
+    return json.dumps({rv.name: kind_of_density(rv.owner.op) for rv in model.observed_RVs}, sort_keys=True)
+
+
+def kind_of_density(op) -> str:
+    """What one likelihood is a density of."""
+    if isinstance(op, SimulatorRV):
+        epsilon = op.epsilon.data.tolist() if isinstance(op.epsilon, Constant) else "of pm.Data"
+        return f"simulator with tolerance {epsilon}"
+    density = getattr(op, "density", "data")
+    return "data" if density == "data" else f"{density} of {type(op).__name__.removesuffix('RV')}"
+
+
+class TraceFunction:
+    """What a trace holds of a model, of many draws at once.
+
+    Parameters
+    ----------
+    model : pymc.Model
+
+    Attributes
+    ----------
+    possible : bool
+        False if something in the model takes one draw at a time, or draws random numbers itself.
+    """
+
+    def __init__(self, model):
+        self.values = model.value_vars
+        self.variables = model.unobserved_value_vars
+        rest = [v for v in self.variables if v not in self.values]
+        owners = {v.owner for v in ancestors(rest) if v.owner is not None}
+        self.possible = not (simulator_functions(rest) or any(map(is_random, owners)))
+        self.names, self.function = [v.name for v in rest], None
+        if not (self.possible and rest):
+            return
+        self.batch = max(1, BATCH_BYTES // (8 * largest_result(self.values, rest)))
+        inputs = [pt.tensor(v.name, dtype=v.dtype, shape=(None, *v.type.shape)) for v in self.values]
+        try:
+            outputs = vectorize_graph(rest, dict(zip(self.values, inputs, strict=True)))
+        except Exception:  # any Op of any library may refuse in its own way
+            self.possible = False
+            return
+        rows = inputs[0].shape[0]
+        outputs = [
+            new if new.ndim > old.ndim else pt.broadcast_to(new, (rows, *new.shape))
+            for new, old in zip(outputs, rest, strict=True)
+        ]
+        self.function = compile_function(inputs, outputs, on_unused_input="ignore", **with_mode({}, outputs))
+
+    def __call__(self, draws: list) -> dict[str, np.ndarray]:
+        """All variables (draw, ...) by name, from those of `model.value_vars`."""
+        own = dict(zip([v.name for v in self.values], draws, strict=True))
+        if self.function is not None:
+            parts = [
+                self.function(*(x[i : i + self.batch] for x in draws))
+                for i in range(0, len(draws[0]), self.batch)
+            ]
+            own |= dict(zip(self.names, map(np.concatenate, zip(*parts, strict=True)), strict=True))
+        return {v.name: own[v.name] for v in self.variables}
+
+
+@contextmanager
+def all_draws_at_once() -> Iterator[None]:
+    """Let `pm.sample_smc` write its traces in one call; as it does by itself where that is not possible."""
+    functions = {}
+
+    def build_trace(tempered_posterior, var_info, variables, chain, model):
+        if model not in functions:
+            functions[model] = TraceFunction(model)
+        if not functions[model].possible:
+            return draw_by_draw(tempered_posterior, var_info, variables, chain, model)
+        draws, first = [], 0
+        for v in variables:
+            shape, size = var_info[v.name]
+            values = tempered_posterior[:, first : first + size].reshape(-1, *shape)
+            draws.append((np.round(values) if v.dtype in discrete_types else values).astype(v.dtype))
+            first += size
+        return filled_trace(functions[model], draws, chain, model)
+
+    pymc.smc.sampling._build_trace_from_kernel_state = build_trace
+    try:
+        yield
+    finally:
+        pymc.smc.sampling._build_trace_from_kernel_state = draw_by_draw
+
+
+def filled_trace(function, draws, chain, model) -> NDArray:
+    """A chain's trace of draws, arrays (draw, ...) in the order of `model.value_vars`."""
+    found = function(draws)
+    trace = NDArray(
+        name=model.name,
+        model=model,
+        fn=lambda *point: [x[0] for x in function([np.asarray(x)[None] for x in point]).values()],
+        var_shapes={name: x.shape[1:] for name, x in found.items()},
+        var_dtypes={name: x.dtype for name, x in found.items()},
+    )
+    trace.setup(len(draws[0]), chain)
+    trace.samples.update({name: np.ascontiguousarray(x) for name, x in found.items()})
+    trace.draw_idx = trace.draws
+    return trace
+
+
+LOOK_SECONDS = 1.0
+
+
+@contextmanager
+def chains_on(workers: Workers | None, most: int) -> Iterator[None]:
+    """Let `pm.sample_smc`, asked for chains one after another, run up to `most` at once on workers.
+
+    Each chain has a kernel and random numbers of its own, so that its draws do not depend on the others.
+    Without workers nothing changes.
+    """
+
+    def side_by_side(*, kernel, chains, rngs, start_points, model, traces, **rest):
+        for own in run_chains(kernel, start_points, rngs, most, workers, rest):
+            build = pymc.smc.sampling._build_trace_from_kernel_state
+            given = own.kernel.tempered_posterior, own.kernel.var_info, own.kernel.variables
+            traces.append(build(*given, own.number, model))
+            rest["sample_stats"].append(own.stats)
+            rest["sample_settings"].append(own.kernel.sample_settings())
+
+    if workers is not None:
+        pymc.smc.sampling._sample_smc_sequentially = side_by_side
+    try:
+        yield
+    finally:
+        pymc.smc.sampling._sample_smc_sequentially = one_after_another
+
+
+class Chain:
+    """One chain, run by `run` as PyMC runs it.
+
+    Parameters
+    ----------
+    number : int
+    kernel : PopulationKernel
+        Of its own.
+    start : dict or None
+    rng : Generator
+    """
+
+    def __init__(self, number, kernel, start, rng):
+        self.number, self.kernel, self.start, self.rng = number, kernel, start, rng
+        self.stats = {name: [] for name in kernel.stats_dtypes_shapes}
+
+    def run(self, told: SimpleQueue):
+        """Advance to the posterior; what the progress bar shows goes to `told`."""
+        kernel, stage = self.kernel, 0
+        kernel.initialize(self.start, self.rng)
+        while kernel.beta < 1:
+            before = kernel.beta
+            kernel.update_beta_and_weights()
+            told.put({"stage": stage, "beta": kernel.beta, "old_beta": before, "chain_idx": self.number})
+            for name, value in kernel.step().items():
+                self.stats[name].append(value)
+            stage += 1
+        last = {"stage": stage, "beta": kernel.beta, "old_beta": kernel.beta, "is_last": True}
+        told.put({**last, "chain_idx": self.number})
+
+
+def run_chains(kernel, start_points, rngs, most, workers, bars) -> list[Chain]:
+    """All chains, when they are over; the first error, or Ctrl-C, ends them all."""
+    run, chains, told = workers.run(), [], SimpleQueue()
+    for number, (start, rng) in enumerate(zip(start_points, rngs, strict=True)):
+        own = copy.copy(kernel)
+        own.evaluate_by(run.of)
+        chains.append(Chain(number, own, start, rng))
+    settings = {name: bars[name] for name in ("progressbar", "progressbar_theme")}
+    with (
+        SMCProgressBarManager(kernel=kernel, chains=len(chains), **settings) as shown,
+        ThreadPoolExecutor(most, thread_name_prefix="chain") as pool,
+    ):
+        try:
+            futures = [pool.submit(chain.run, told) for chain in chains]
+            for future in futures:
+                future.add_done_callback(told.put)
+            left = len(futures)
+            while left:  # woken up now and then, for Ctrl-C
+                with suppress(Empty):
+                    news = told.get(timeout=LOOK_SECONDS)
+                    if isinstance(news, dict):
+                        shown.update(**news)
+                    else:
+                        news.result()
+                        left -= 1
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            run.stop()
+            raise
+    return chains

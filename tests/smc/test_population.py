@@ -20,7 +20,7 @@ from scipy import stats
 import pymc_features as pmf
 from pymc_features.smc import KERNELS, PopulationLogp, population_logp
 from pymc_features.smc.density import rows
-from pymc_features.smc.density.compilation import has_python_loops, with_mode
+from pymc_features.smc.density.rows import has_python_loops, with_mode
 from support.graphs import REWRITTEN
 from support.populations import discrete, points_of, prior_particles
 from support.sampling import SERIAL

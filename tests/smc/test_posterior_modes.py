@@ -5,9 +5,8 @@ import pytest
 from scipy import optimize, stats
 
 from pymc_features.smc.proposals import reference
-from pymc_features.smc.proposals.ascent import curvature
-from pymc_features.smc.proposals.mixture import log_sum
-from pymc_features.smc.proposals.reference import find_reference
+from pymc_features.smc.proposals.pool import log_sum
+from pymc_features.smc.proposals.reference import curvature, find_reference
 
 
 def rosenbrock(x):

@@ -5,16 +5,16 @@ import pytest
 from scipy import stats
 from scipy.special import logsumexp
 
-from pymc_features.smc.proposals import polynomials, unbending
-from pymc_features.smc.proposals.fitted import (
+from pymc_features.smc.proposals import unbending
+from pymc_features.smc.proposals.proposal import StudentMixture, StudentT, fit_mixture
+from pymc_features.smc.proposals.reference import Mode, Reference
+from pymc_features.smc.proposals.unbending import (
     FittedProposal,
+    UnbendingMap,
     Unbent,
     fit_to,
     fit_unbent,
 )
-from pymc_features.smc.proposals.proposal import StudentMixture, StudentT, fit_mixture
-from pymc_features.smc.proposals.reference import Mode, Reference
-from pymc_features.smc.proposals.unbending import UnbendingMap
 from support.sampling import mean_within_errors
 
 
@@ -200,7 +200,7 @@ def test_a_parabola_between_logits(monkeypatch):
         return w.sum() ** 2 / (w @ w) / len(w)
 
     kept = share_kept()
-    monkeypatch.setattr(unbending, "affordable", lambda *_: polynomials.PRODUCTS)
+    monkeypatch.setattr(unbending, "affordable", lambda *_: unbending.PRODUCTS)
     assert kept > 0.08 and kept > 3.0 * share_kept()
 
 

@@ -23,8 +23,8 @@ from pymc_features.external.workers import calls
 from pymc_features.simulators.linear.known import KNOWN
 from pymc_features.simulators.nonlinear.kernels import PARTICLES
 from pymc_features.smc import open_workers, population_logp
+from pymc_features.smc import workers as workers_module
 from pymc_features.smc.density.rows import UNIT
-from pymc_features.smc.workers import workers as workers_module
 from support.external_functions import DATA, SHAPE, beam, lives
 from support.families import CASES, RAYLEIGH, measured, pulse
 from support.sampling import QUIET

@@ -16,8 +16,8 @@ import xarray as xr
 from pymc_features import cli, datasets, simulate, update
 from pymc_features.calibration.sandwich import sentence as of_growth
 from pymc_features.exceptions import CalibrationWarning, ConfigError, DatasetUnavailableError
-from pymc_features.smc.workers import workers
-from pymc_features.smc.workers.workers import Spread
+from pymc_features.smc import workers
+from pymc_features.smc.workers import Spread
 from pymc_features.update import read_problem, run_update, sampling, write_example
 from pymc_features.update.kinds.base import declare
 from pymc_features.update.kinds.responses import measured_gain

@@ -12,8 +12,15 @@ import pytensor.tensor as pt
 from pytensor.gradient import NullTypeGradError
 
 from pymc_features.exceptions import NotDifferentiableError, PopulationWarning
-from pymc_features.smc.density.graph import DensityGraph, Outputs, density_graph
-from pymc_features.smc.density.nodes import core_op, inner_nodes, is_random, simulators_inside
+from pymc_features.smc.density.graph import (
+    DensityGraph,
+    Outputs,
+    core_op,
+    density_graph,
+    inner_nodes,
+    is_random,
+    simulators_inside,
+)
 from pymc_features.smc.density.prior import inside_support, prior_points
 from pymc_features.smc.density.rows import RowFunction
 

@@ -53,7 +53,7 @@ KERNEL = {
     "checkpoint": None,
 }
 INSTEAD = {
-    "pymc_features.smc.kernels.base.Checkpoint": work,
+    "pymc_features.smc.kernels.base.model_fingerprint": work,
     "pymc_features.smc.kernels.base.prior_draws": no_prior,
     "pymc_features.smc.kernels.base.population_logp": no_density,
     "pymc_features.smc.kernels.subset.population_logp": no_density,
@@ -93,7 +93,7 @@ def kernel(of, **more):
 
 RUN = {"draws": 100, "chains": 2, "cores": 1, "random_seed": 1, "checkpoint": None, "progressbar": False}
 RUN |= {"executor": None}
-WORKERS = {"pymc_features.smc.workers.workers.open_executor": work}
+WORKERS = {"pymc_features.smc.workers.open_executor": work}
 
 CALLS = {
     "PersistentSMC": kernel(pmf.PersistentSMC, reference=None, gradients=False, stage_draws=None),
