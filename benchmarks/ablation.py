@@ -49,7 +49,7 @@ PARTS = {
     "nothing": (),
     "trials": ((persistent.PersistentSMC, "pays_to_fit_again", lambda self, trials: False),),
     "draws anew": ((persistent, "HEAVY_K", np.inf),),
-    "second map": ((persistent, "fit_twice_to", unbending.fit_to),),
+    "second map": ((persistent, "fit_to", lambda *args, twice: unbending.fit_to(*args)),),
     "maps": ((unbending, "fit_unbent", without_map),),
     "maps along principal axes": ((unbending, "fit_unbent", only_along_parameters),),
     "maps along parameters": ((unbending, "fit_unbent", only_along_principal_axes),),

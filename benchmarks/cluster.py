@@ -86,13 +86,13 @@ def heavy():
 @contextmanager
 def cut_into(parts):
     """Let every population be spread, in given parts (first, end)."""
-    known = spreading.parts_of, spreading.Spread.some_are_ready
+    known = spreading.parts_of, spreading.Run.some_are_ready
     spreading.parts_of = parts
-    spreading.Spread.some_are_ready = lambda self, work: True
+    spreading.Run.some_are_ready = lambda self, work: True
     try:
         yield
     finally:
-        spreading.parts_of, spreading.Spread.some_are_ready = known
+        spreading.parts_of, spreading.Run.some_are_ready = known
 
 
 def equal_parts(size):

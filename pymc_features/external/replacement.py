@@ -16,7 +16,6 @@ from pymc_features._checks import message
 from pymc_features.external.emulator import PREDICTED_AT_ONCE, Emulator
 from pymc_features.external.simulator import ExternalSimulator
 from pymc_features.fingerprint import fingerprint
-from pymc_features.inference.compiled import parts_of
 from pymc_features.inference.parameters import Unconstrained
 from pymc_features.ops import ExternalResponse
 from pymc_features.smc import Outputs, RowFunction, batched_graph
@@ -204,7 +203,7 @@ def arguments(model, stand_in) -> Callable:
     }
     space, theta = Unconstrained(model), pt.vector("theta")
     tensors = model.replace_rvs_by_values(node.inputs)
-    parts = parts_of(theta, space)
+    parts = space.split(theta)
     values = {v: pt.specify_shape(parts[v.name].astype(v.dtype), v.type.shape) for v in model.value_vars}
     inputs = graph_replace(tensors, values, strict=False)
     at_start = model.compile_fn(

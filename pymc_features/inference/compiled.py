@@ -64,20 +64,10 @@ def has_inverse(rv, transform) -> bool:
     return True
 
 
-def parts_of(vector: Variable, space: Unconstrained) -> dict[str, Variable]:
-    """Parts of a flat vector, in the shapes of the value variables."""
-    parts, first = {}, 0
-    for name, shape in space.shapes.items():
-        size = int(np.prod(shape, dtype=int))
-        parts[name] = vector[first : first + size].reshape(shape)
-        first += size
-    return parts
-
-
 def graph_to_theta(model, space) -> tuple[Variable, Variable]:
     """A vector u (d,) and theta (d,)."""
     u = pt.vector("u")
-    parts, own, theta = parts_of(u, space), {}, []
+    parts, own, theta = space.split(u), {}, []
     for rv in model.free_RVs:  # parents come before those that depend on them
         x = pm.icdf(rv, parts[model.rvs_to_values[rv].name])
         transform = model.rvs_to_transforms[rv]
@@ -90,7 +80,7 @@ def graph_to_theta(model, space) -> tuple[Variable, Variable]:
 def graph_from_theta(model, space) -> tuple[Variable, Variable]:
     """A vector theta (d,) and u (d,)."""
     theta = pt.vector("theta")
-    parts = parts_of(theta, space)
+    parts = space.split(theta)
     below = model.replace_rvs_by_values([pt.exp(pm.logcdf(rv, rv)).ravel() for rv in model.free_RVs])
     values = {model.rvs_to_values[rv]: parts[model.rvs_to_values[rv].name] for rv in model.free_RVs}
     return theta, pt.concatenate(graph_replace(below, values, strict=False))

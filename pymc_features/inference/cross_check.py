@@ -30,7 +30,16 @@ import numpy as np
 from pymc_features.smc.kernels.chains import GRADIENT_COST
 from pymc_features.smc.proposals.pool import LARGEST_K, log_sum, pareto_k, pareto_smoothed
 from pymc_features.smc.proposals.proposal import Mixture, StudentT, distinct, fit_mixture
-from pymc_features.smc.proposals.reference import WIDEST, Mode, Reference, climb, laplace_mode, nearest
+from pymc_features.smc.proposals.reference import (
+    WIDEST,
+    Density,
+    Mode,
+    Reference,
+    climb,
+    in_units,
+    laplace_mode,
+    nearest,
+)
 from pymc_features.smc.proposals.unbending import heavy_tailed
 
 WIDTHS, WIDE_SHARES = (1.05, 1.6), (0.85, 0.15)  # of the fit to the run's draws, over it, and their shares
@@ -53,22 +62,6 @@ OF_A_CLIMB = 75  # evaluations, on structural posteriors with wide priors
 FULL_RUN = 2000  # draws of a run that is checked in full
 OF_RUN, OF_DEAR_RUN = 0.4, 0.05  # evaluations of the check over those of the run, at most
 OF_A_SECOND = 1e8  # observed numbers that a population of linear structures compares in a second
-
-
-class Density(NamedTuple):
-    """Log posterior density of a model on the unconstrained scale.
-
-    Attributes
-    ----------
-    values, gradients : callable
-        Log-density (n,) at points (n, d); that, and its gradient (n, d). `gradients` is None without one.
-    draw_prior : callable
-        Draws (n, d) from the prior for a number n.
-    """
-
-    values: Callable
-    gradients: Callable | None
-    draw_prior: Callable
 
 
 class Effort(NamedTuple):
@@ -216,12 +209,8 @@ def cross_check(
             centre, scale = draws.mean(axis=0), draws.std(axis=0)
     else:
         centre, scale = reference.centre, reference.scale
-    slopes = density.gradients or by_differences(density.values, scale)
-
-    def scaled(u):
-        value, slope = slopes(centre + scale * u)
-        return value, slope * scale
-
+    slopes = density.gradients if density.has_gradient else by_differences(density.values, scale)
+    scaled = in_units(slopes, centre, scale)
     distinct_draws, counts = distinct(draws)
     plain = fit_mixture(distinct_draws, counts.astype(float), rng)
     fit = Mixture([heavy_tailed(plain, width) for width in WIDTHS], np.array(WIDE_SHARES))

@@ -18,7 +18,7 @@ from pymc_features.inference.parameters import (
     initial_values,
 )
 from pymc_features.smc import find_reference, likelihood_kinds, population_logp, prior_points
-from pymc_features.smc.proposals.reference import climb, curvature
+from pymc_features.smc.proposals.reference import Density, climb, curvature, in_units
 
 MAX_NEWTON, MAX_HALVINGS = 30, 30
 NO_GAIN = 1e-12  # in the log-density, of the next step: at a mode
@@ -43,12 +43,7 @@ def gaussian_at(density: Callable, x: np.ndarray, scale: np.ndarray):
         The mode, its log-density, and minus the Hessian there; None if there is no maximum with a positive
         definite curvature.
     """
-
-    def scaled(points):
-        values, slopes = density(scale * points)
-        return values, slopes * scale
-
-    u = x / scale
+    scaled, u = in_units(density, 0.0, scale), x / scale
     value, slope = (part[0] for part in scaled(u[None]))
     for _ in range(MAX_NEWTON):
         hessian = curvature(scaled, u)
@@ -166,10 +161,11 @@ def laplace(
     space = Unconstrained(model)
     logp = population_logp(model, model.initial_point(), compile_kwargs)
     logp.compile_gradient()
+    density = Density(logp, lambda n: prior_points(model, n, rng))
     if start is None:
-        found = modes_from_prior(model, logp, draws, rng)
+        found = modes_from_prior(density, draws)
     else:
-        found = modes_from(logp, starting_point(model, start))
+        found = modes_from(density, starting_point(model, start))
     if not found:
         raise ValueError(
             "the posterior must have a maximum with positive curvature, found none from "
@@ -184,36 +180,19 @@ def laplace(
     return tree(model, space, particles, found, evidences, prior + likelihood - log_density)
 
 
-def density_of(logp):
-    """The function of points (n, d) that gives the log-posterior density (n,) and its gradient (n, d)."""
-
-    def density(x):
-        prior, likelihood, _, *slopes = logp.gradient(x)
-        return prior + likelihood, slopes[0] + slopes[1]
-
-    return density
-
-
-def modes_from_prior(model, logp, effort, rng):
+def modes_from_prior(density: Density, effort):
     """Modes (x, value, curvature) that climbs from draws of the prior lead to, the highest first."""
-    density = density_of(logp)
-    reference = find_reference(
-        lambda x: np.sum(logp(x)[:2], axis=0),
-        density,
-        lambda n: prior_points(model, n, rng),
-        effort,
-    )
+    reference = find_reference(density, effort)
     if reference is None:
         return []
     ends, scale = reference.peaks, reference.scale
-    return distinct([mode for x in ends if (mode := gaussian_at(density, x, scale)) is not None])
+    return distinct([mode for x in ends if (mode := gaussian_at(density.gradients, x, scale)) is not None])
 
 
-def modes_from(logp, x):
+def modes_from(density: Density, x):
     """The mode (x, value, curvature) that a climb from a point (d,) leads to, if it is one, as a list."""
-    density = density_of(logp)
-    ends, _ = climb(density, x[None], lambda x: np.zeros(len(x), dtype=bool))
-    mode = gaussian_at(density, ends[0], np.ones(len(x)))
+    ends, _ = climb(density.gradients, x[None], lambda x: np.zeros(len(x), dtype=bool))
+    mode = gaussian_at(density.gradients, ends[0], np.ones(len(x)))
     return [] if mode is None else [mode]
 
 

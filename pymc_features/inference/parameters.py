@@ -140,12 +140,12 @@ class Unconstrained:
             model.replace_rvs_by_values(wanted), mode="FAST_COMPILE", on_unused_input="ignore"
         )
 
-    def split(self, x) -> dict[str, np.ndarray]:
-        """Values of the value variables."""
+    def split(self, x) -> dict:
+        """Values of the value variables in a flat point, an array or a vector of PyTensor's."""
         values, first = {}, 0
         for name, shape in self.shapes.items():
             size = int(np.prod(shape, dtype=int))
-            values[name] = np.reshape(x[first : first + size], shape)
+            values[name] = x[first : first + size].reshape(shape)
             first += size
         return values
 

@@ -14,7 +14,7 @@ from pymc.util import RandomState
 from pymc_features._checks import check_choice, check_mapping, check_model, check_path, check_seed
 from pymc_features.exceptions import ChainsDisagreeWarning, NoSpreadError, SamplingWarning
 from pymc_features.external.workers.calls import one_thread_each
-from pymc_features.inference.cross_check import Density, affordable, cross_check
+from pymc_features.inference.cross_check import affordable, cross_check
 from pymc_features.inference.parameters import Unconstrained, coordinate_names, some_draws, to_unconstrained
 from pymc_features.smc import (
     PersistentSMC,
@@ -31,6 +31,7 @@ from pymc_features.smc import (
 from pymc_features.smc.kernels.chains import GRADIENT_COST
 from pymc_features.smc.kernels.checkpoint import Journal, model_fingerprint, remembered
 from pymc_features.smc.proposals.pool import LARGEST_K, LARGEST_SHARE
+from pymc_features.smc.proposals.reference import Density
 
 AGREEMENT = 1.01  # largest R-hat of runs that agree
 # modes, and the share of climbs that each end alone, above which there are others that none has found
@@ -199,34 +200,6 @@ class Search(NamedTuple):
     no_gradient: str
 
 
-class Evaluations:
-    """Log posterior density of populations, counted; a journal, if there is one, remembers each.
-
-    Parameters
-    ----------
-    logp : PopulationLogp
-    journal : Journal, optional
-    """
-
-    def __init__(self, logp, journal=None):
-        self.logp, self.journal = logp, journal
-        self.n_values = self.n_gradients = 0
-
-    def values(self, x):
-        """Log-density (n,) at points (n, d)."""
-        self.n_values += len(x)
-        prior, likelihood, _ = self.journal.evaluate(self.logp, x) if self.journal else self.logp(x)
-        return prior + likelihood
-
-    def gradients(self, x):
-        """Log-density (n,) at points (n, d), and its gradient (n, d)."""
-        self.n_gradients += len(x)
-        function = self.logp.gradient
-        parts = self.journal.evaluate(function, x, 2) if self.journal else function(x)
-        prior, likelihood, _, *slopes = parts
-        return prior + likelihood, np.reshape(slopes, (2, *x.shape)).sum(axis=0)
-
-
 def journal_in(checkpoint, name: str, model) -> Journal | None:
     """Record of the evaluations of a part of a run, in the folder of a checkpoint; None without one."""
     if checkpoint is None:
@@ -240,12 +213,10 @@ def search(model, logp, draws, rng, journal) -> Search:
     if not logp.has_gradient:
         return Search(None, 0, 0, logp.why_no_gradient)
     logp.compile_gradient()
-    density = Evaluations(logp, journal)
-    reference = find_reference(
-        density.values, density.gradients, lambda n: prior_points(model, n, rng), draws // 2
-    )
+    density = Density(logp, lambda n: prior_points(model, n, rng), journal)
+    reference = find_reference(density, draws // 2)
     if reference is not None:
-        reference = reference.bent(density.values, density.gradients, rng)
+        reference = reference.bent(density, rng)
     if journal:
         journal.close()
     return Search(reference, density.n_values, density.n_gradients, "")
@@ -264,9 +235,7 @@ def cross_checked(idata, found, model, space, logp, thorough, rng, settings) -> 
         idata["sample_stats"].attrs["check"] = f"not done: {why_not}"
         return idata
     journal = journal_in(checkpoint, "check", model)
-    density = Evaluations(logp, journal)
-    gradients = density.gradients if logp.has_gradient else None
-    source = Density(density.values, gradients, lambda n: prior_points(model, n, rng))
+    density = Density(logp, lambda n: prior_points(model, n, rng), journal)
     n_data = sum(value.size.eval() for value in map(model.rvs_to_values.get, model.observed_RVs))
     n_differences = 0 if logp.has_gradient else len(space.join(space.point)) + 1
     rare = False
@@ -278,7 +247,7 @@ def cross_checked(idata, found, model, space, logp, thorough, rng, settings) -> 
         dear = logp.is_expensive or not logp.batched
         effort = affordable(thorough, size, spent, n_data, dear, n_differences)
         of_run = stats.attrs["log_evidence"], stats.attrs["log_evidence_se"]
-        check = cross_check(source, draws, *of_run, effort, rng, found.reference)
+        check = cross_check(density, draws, *of_run, effort, rng, found.reference)
         rare |= check.rare
         if n_repeats == MOST_REPEATS or not check.missed:
             break

@@ -38,7 +38,7 @@ from pymc_features._checks import (
 )
 from pymc_features.exceptions import CheckpointError, NoSpreadError, ToleranceNotReachedError
 from pymc_features.external.workers.calls import one_thread_each
-from pymc_features.smc.density.graph import is_random, largest_result, simulator_functions
+from pymc_features.smc.density.graph import is_random, largest_result, nodes_of, simulator_functions
 from pymc_features.smc.density.rows import BATCH_BYTES, with_mode
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.kernels.checkpoint import remembered
@@ -227,50 +227,27 @@ def savable(idata: xr.DataTree) -> xr.DataTree:
         return result
     stats = result["sample_stats"].to_dataset()
     chains = np.atleast_1d(result["posterior"]["chain"].values)
-    padded = {
-        name: (("chain", "stage"), pad_stages(variable.values, len(chains)))
-        for name, variable in stats.data_vars.items()
+    of_chains = {  # lists of unequal lengths, or of one chain what belongs to it
+        name: [
+            np.ravel(np.asarray(row, dtype=float)) for row in (v.values if len(chains) > 1 else [v.values])
+        ]
+        for name, v in stats.data_vars.items()
     }
-    lengths = {values.shape[1] for _, values in padded.values()}
-    n_stages = max(lengths, default=0)
-    padded = {
-        name: (
-            dims,
-            np.pad(values, [(0, 0), (0, n_stages - values.shape[1])], constant_values=np.nan),
-        )
-        for name, (dims, values) in padded.items()
+    n_stages = max((len(row) for rows in of_chains.values() for row in rows), default=0)
+    data = {}
+    for name, rows in of_chains.items():
+        if name in PER_CHAIN:
+            data[name] = "chain", [next(iter(row[~np.isnan(row)][::-1]), np.nan) for row in rows]
+        else:
+            padded = [np.pad(row, (0, n_stages - len(row)), constant_values=np.nan) for row in rows]
+            data[name] = ("chain", "stage"), np.array(padded)
+    attrs = {  # netCDF holds no others
+        key: value if isinstance(value, str | int | float | np.number) else str(value)
+        for key, value in stats.attrs.items()
     }
-    for name in PER_CHAIN:
-        if name in padded:
-            padded[name] = (("chain",), last_values(padded[name][1]))
-    attrs = {key: _plain(value) for key, value in stats.attrs.items()}
     coords = {"chain": chains, "stage": np.arange(n_stages)}
-    result["sample_stats"] = xr.DataTree(xr.Dataset(padded, coords=coords, attrs=attrs))
+    result["sample_stats"] = xr.DataTree(xr.Dataset(data, coords=coords, attrs=attrs))
     return result
-
-
-def last_values(stages) -> np.ndarray:
-    """The last number of each chain (chain,); NaN where there is none."""
-    numbers = [row[~np.isnan(row)] for row in stages]
-    return np.array([row[-1] if row.size else np.nan for row in numbers])
-
-
-def pad_stages(values, n_chains: int) -> np.ndarray:
-    """Return ragged per-chain lists as a float array (chain, stage), NaN behind each end."""
-    values = np.asarray(values)
-    if values.dtype != object and values.ndim == 2 and values.shape[0] == n_chains:
-        return values.astype(np.float64)
-    rows = list(values) if n_chains > 1 else [np.ravel(values)]
-    rows = [np.ravel(np.asarray(row, dtype=np.float64)) for row in rows]
-    padded = np.full((n_chains, max(map(len, rows))), np.nan)
-    for row, stages in zip(padded, rows, strict=True):
-        row[: len(stages)] = stages
-    return padded
-
-
-def _plain(value):
-    """Attribute values that netCDF can hold."""
-    return value if isinstance(value, str | int | float | np.number) else str(value)
 
 
 def likelihood_kinds(model) -> str:
@@ -308,8 +285,8 @@ class TraceFunction:
         self.values = model.value_vars
         self.variables = model.unobserved_value_vars
         rest = [v for v in self.variables if v not in self.values]
-        owners = {v.owner for v in ancestors(rest) if v.owner is not None}
-        self.possible = not (simulator_functions(rest) or any(map(is_random, owners)))
+        nodes = nodes_of(rest)
+        self.possible = not (simulator_functions(nodes) or any(map(is_random, nodes)))
         self.names, self.function = [v.name for v in rest], None
         if not (self.possible and rest):
             return
@@ -392,12 +369,12 @@ def chains_on(workers: Workers | None, most: int) -> Iterator[None]:
     """
 
     def side_by_side(*, kernel, chains, rngs, start_points, model, traces, **rest):
-        for own in run_chains(kernel, start_points, rngs, most, workers, rest):
+        ends = run_chains(kernel, start_points, rngs, most, workers, rest)
+        for number, (own, stats) in enumerate(ends):
             build = pymc.smc.sampling._build_trace_from_kernel_state
-            given = own.kernel.tempered_posterior, own.kernel.var_info, own.kernel.variables
-            traces.append(build(*given, own.number, model))
-            rest["sample_stats"].append(own.stats)
-            rest["sample_settings"].append(own.kernel.sample_settings())
+            traces.append(build(own.tempered_posterior, own.var_info, own.variables, number, model))
+            rest["sample_stats"].append(stats)
+            rest["sample_settings"].append(own.sample_settings())
 
     if workers is not None:
         pymc.smc.sampling._sample_smc_sequentially = side_by_side
@@ -407,51 +384,35 @@ def chains_on(workers: Workers | None, most: int) -> Iterator[None]:
         pymc.smc.sampling._sample_smc_sequentially = one_after_another
 
 
-class Chain:
-    """One chain, run by `run` as PyMC runs it.
-
-    Parameters
-    ----------
-    number : int
-    kernel : PopulationKernel
-        Of its own.
-    start : dict or None
-    rng : Generator
-    """
-
-    def __init__(self, number, kernel, start, rng):
-        self.number, self.kernel, self.start, self.rng = number, kernel, start, rng
-        self.stats = {name: [] for name in kernel.stats_dtypes_shapes}
-
-    def run(self, told: SimpleQueue):
-        """Advance to the posterior; what the progress bar shows goes to `told`."""
-        kernel, stage = self.kernel, 0
-        kernel.initialize(self.start, self.rng)
-        while kernel.beta < 1:
-            before = kernel.beta
-            kernel.update_beta_and_weights()
-            told.put({"stage": stage, "beta": kernel.beta, "old_beta": before, "chain_idx": self.number})
-            for name, value in kernel.step().items():
-                self.stats[name].append(value)
-            stage += 1
-        last = {"stage": stage, "beta": kernel.beta, "old_beta": kernel.beta, "is_last": True}
-        told.put({**last, "chain_idx": self.number})
+def run_chain(number, kernel, start, rng, told: SimpleQueue) -> tuple[PopulationKernel, dict]:
+    """A kernel at the posterior, and its statistics; what the progress bar shows goes to `told`."""
+    stats, stage = {name: [] for name in kernel.stats_dtypes_shapes}, 0
+    kernel.initialize(start, rng)
+    while kernel.beta < 1:
+        before = kernel.beta
+        kernel.update_beta_and_weights()
+        told.put({"stage": stage, "beta": kernel.beta, "old_beta": before, "chain_idx": number})
+        for name, value in kernel.step().items():
+            stats[name].append(value)
+        stage += 1
+    last = {"stage": stage, "beta": kernel.beta, "old_beta": kernel.beta, "is_last": True}
+    told.put({**last, "chain_idx": number})
+    return kernel, stats
 
 
-def run_chains(kernel, start_points, rngs, most, workers, bars) -> list[Chain]:
-    """All chains, when they are over; the first error, or Ctrl-C, ends them all."""
-    run, chains, told = workers.run(), [], SimpleQueue()
-    for number, (start, rng) in enumerate(zip(start_points, rngs, strict=True)):
-        own = copy.copy(kernel)
+def run_chains(kernel, start_points, rngs, most, workers, bars) -> list[tuple[PopulationKernel, dict]]:
+    """Kernels and statistics of all chains, when they are over; the first error, or Ctrl-C, ends them all."""
+    run, told, kernels = workers.run(), SimpleQueue(), [copy.copy(kernel) for _ in rngs]
+    for own in kernels:
         own.evaluate_by(run.of)
-        chains.append(Chain(number, own, start, rng))
     settings = {name: bars[name] for name in ("progressbar", "progressbar_theme")}
     with (
-        SMCProgressBarManager(kernel=kernel, chains=len(chains), **settings) as shown,
+        SMCProgressBarManager(kernel=kernel, chains=len(kernels), **settings) as shown,
         ThreadPoolExecutor(most, thread_name_prefix="chain") as pool,
     ):
         try:
-            futures = [pool.submit(chain.run, told) for chain in chains]
+            chains = zip(range(len(kernels)), kernels, start_points, rngs, strict=True)
+            futures = [pool.submit(run_chain, *chain, told) for chain in chains]
             for future in futures:
                 future.add_done_callback(told.put)
             left = len(futures)
@@ -467,4 +428,4 @@ def run_chains(kernel, start_points, rngs, most, workers, bars) -> list[Chain]:
             pool.shutdown(wait=False, cancel_futures=True)
             run.stop()
             raise
-    return chains
+    return [future.result() for future in futures]

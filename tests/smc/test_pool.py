@@ -267,7 +267,7 @@ class LastStage(PersistentSMC):
 
 @pytest.fixture
 def normal_fit(monkeypatch):
-    monkeypatch.setattr(persistent, "fit_twice_to", lambda *_: NormalFit())
+    monkeypatch.setattr(persistent, "fit_to", lambda *_, **__: NormalFit())
 
 
 @pytest.mark.statistical

@@ -255,9 +255,9 @@ class Bananas:
         self.n, self.noise = n_pairs, noise
 
     def values(self, x):
-        return self.gradient(x)[0]
+        return self.gradients(x)[0]
 
-    def gradient(self, x):
+    def gradients(self, x):
         a, b = x[:, : self.n], x[:, self.n :]
         rest = (b - 0.25 * a**2) / self.noise
         value = -0.5 * (a**2 + rest**2).sum(axis=1) - x.shape[1] / 2 * np.log(2.0 * np.pi)
@@ -283,7 +283,7 @@ def test_bananas_become_straight():
     """Laplace's approximation keeps a hundredth of 4,000 draws, the map a third; evidence within 0.1."""
     target = Bananas(10)
     laplace = target.reference()
-    bent = laplace.bent(target.values, target.gradient, np.random.default_rng(7))
+    bent = laplace.bent(target, np.random.default_rng(7))
     before, _ = efficiency(laplace, target)
     after, evidence = efficiency(bent, target)
     assert before < 0.02 and after > 0.3, (before, after)
@@ -293,7 +293,7 @@ def test_bananas_become_straight():
 def test_slopes_of_the_reference():
     """Its gradient, which trajectories from it follow, against differences."""
     target, d = Bananas(8), 16
-    reference = target.reference().bent(target.values, target.gradient, np.random.default_rng(7))
+    reference = target.reference().bent(target, np.random.default_rng(7))
     assert reference.maps[0] is not None
     x = 0.3 * np.random.default_rng(8).normal(size=(20, d)) * np.repeat([1.0, target.noise], 8)
 

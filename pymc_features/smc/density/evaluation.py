@@ -19,7 +19,7 @@ from pymc_features.smc.density.graph import (
     density_graph,
     inner_nodes,
     is_random,
-    simulators_inside,
+    simulator_functions,
 )
 from pymc_features.smc.density.prior import inside_support, prior_points
 from pymc_features.smc.density.rows import RowFunction
@@ -240,7 +240,7 @@ class PopulationLogp:
     @property
     def last_error(self) -> str:
         """What the model raised last, or else a simulator function; empty if nothing did."""
-        ops = simulators_inside(self.function.maker.fgraph)
+        ops = simulator_functions(inner_nodes(self.function.maker.fgraph))
         raised = [f.raised for f in (self.values, self.slopes) if f is not None]
         return next(filter(None, [*raised, *(getattr(op.fn, "last_error", "") for op in ops)]), "")
 

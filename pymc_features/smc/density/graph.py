@@ -59,7 +59,7 @@ def core_op(node):
 
 def why_not_batched(outputs) -> str | None:
     """Say which part of the graph takes one set of parameters at a time; None if there is none."""
-    for op in simulator_functions(outputs):
+    for op in simulator_functions(nodes_of(outputs)):
         if not getattr(op.fn, "batched", False):
             return (
                 f"the function of {op.name} takes one set of parameters at a time. If it accepts a "
@@ -68,15 +68,14 @@ def why_not_batched(outputs) -> str | None:
     return None
 
 
-def simulator_functions(outputs) -> list:
-    """Ops of the graph that call a simulator function."""
-    owners = {v.owner for v in ancestors(outputs) if v.owner is not None}
-    return [node.op for node in owners if isinstance(node.op, SimulatorRV)]
+def nodes_of(outputs) -> set:
+    """All nodes of a graph."""
+    return {v.owner for v in ancestors(outputs) if v.owner is not None}
 
 
-def simulators_inside(graph) -> list:
-    """Ops of a compiled graph that call a simulator function."""
-    return [node.op for node in inner_nodes(graph) if isinstance(node.op, SimulatorRV)]
+def simulator_functions(nodes) -> list:
+    """Those Ops of nodes that call a simulator function."""
+    return [node.op for node in nodes if isinstance(node.op, SimulatorRV)]
 
 
 def inner_nodes(graph):
@@ -187,7 +186,7 @@ def joined_graph(model, point, outputs: list, inputs: list) -> Outputs:
     outputs = list(graph.outputs)
     failures = [
         pt.any(pt.isnan(out) | pt.isinf(out))
-        for node in {v.owner for v in ancestors(outputs) if v.owner is not None}
+        for node in nodes_of(outputs)
         if getattr(core_op(node), "simulates", isinstance(node.op, SimulatorRV))
         for out in node.outputs
         if isinstance(out.type, TensorType)

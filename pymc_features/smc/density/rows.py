@@ -11,7 +11,6 @@ from pymc.pytensorf import compile as compile_function
 from pytensor import shared as make_shared
 from pytensor.compile.mode import Mode
 from pytensor.graph.rewriting.basic import dfs_rewriter, node_rewriter
-from pytensor.graph.traversal import ancestors
 from pytensor.scalar import Add, Mul, Softplus
 from pytensor.scan.op import Scan
 from pytensor.tensor.basic import Alloc
@@ -21,7 +20,13 @@ from pytensor.tensor.random.op import RandomVariable
 from pytensor.tensor.random.type import RandomGeneratorType
 
 from pymc_features.simulators.linear.known import KNOWN
-from pymc_features.smc.density.graph import DensityGraph, goes_row_by_row, largest_result, simulator_functions
+from pymc_features.smc.density.graph import (
+    DensityGraph,
+    goes_row_by_row,
+    largest_result,
+    nodes_of,
+    simulator_functions,
+)
 
 WIDEST = 16  # operands of a sum or product; a ufunc of NumPy takes 31
 
@@ -68,8 +73,7 @@ def with_mode(compile_kwargs: dict, outputs) -> dict:
 
 def has_python_loops(outputs) -> bool:
     """Whether NumPy would be called once for each particle or step."""
-    owners = {v.owner for v in ancestors(outputs) if v.owner is not None}
-    return any(is_loop(node) for node in owners)
+    return any(map(is_loop, nodes_of(outputs)))
 
 
 def is_loop(node) -> bool:
@@ -138,7 +142,7 @@ class RowFunction:
         self.batch = max(
             1, BATCH_BYTES // (8 * alive * largest_result([graph.one.joined], graph.one.outputs))
         )
-        self.errors = NUMERICAL_ERRORS if simulator_functions(graph.one.outputs) == [] else Exception
+        self.errors = Exception if simulator_functions(nodes_of(graph.one.outputs)) else NUMERICAL_ERRORS
         joined, outputs = graph.population if self.batched else graph.one
         kwargs = with_mode(compile_kwargs, outputs) if self.batched else compile_kwargs
         with quiet_about_python():

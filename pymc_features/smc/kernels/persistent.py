@@ -12,7 +12,7 @@ from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel
 from pymc_features.smc.kernels.chains import Chains, FittedMoves
 from pymc_features.smc.proposals.pool import GROUPS, LARGEST_K, LARGEST_SHARE, Pool, equal_draws, next_beta
 from pymc_features.smc.proposals.reference import MANY, Reference, good_share
-from pymc_features.smc.proposals.unbending import fit_twice_to
+from pymc_features.smc.proposals.unbending import fit_to
 
 MORE_PRIOR = 50  # the prior is drawn from at most this many times, in search of possible points
 KEPT_STEPS, LAST_STEPS = 8, 32  # of the chains of a stage, and of those of the last
@@ -370,7 +370,7 @@ class PersistentSMC(PopulationKernel):
         points = self.fitting_points()
         # draws in many dimensions, a few of them heavy, are too few for a fit to be as good
         bent = not self.needs_fit and self.n_parameters >= MANY
-        fit = self.reference.mixture if bent else fit_twice_to(points, self.rng, self.bounded)
+        fit = self.reference.mixture if bent else fit_to(points, self.rng, self.bounded, twice=True)
         return self.pool.add_proposal(fit)
 
     def drawn_anew(self, trials: list[Trial]) -> tuple[Pool, int]:

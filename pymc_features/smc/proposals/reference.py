@@ -155,6 +155,47 @@ def good_share(n_parameters: int) -> float:
     return GOOD_FEW if n_parameters < MANY else GOOD_MANY
 
 
+class Density:
+    """Log posterior density of a model on the unconstrained scale, whose evaluations are counted.
+
+    Parameters
+    ----------
+    logp : PopulationLogp
+    draw_prior : callable
+        Draws (n, d) from the prior for a number n.
+    journal : Journal, optional
+        Remembers each evaluation.
+    """
+
+    def __init__(self, logp, draw_prior: Callable, journal=None):
+        self.logp, self.draw_prior, self.journal = logp, draw_prior, journal
+        self.has_gradient, self.n_values, self.n_gradients = logp.has_gradient, 0, 0
+
+    def values(self, x):
+        """Log-density (n,) at points (n, d)."""
+        self.n_values += len(x)
+        prior, likelihood, _ = self.journal.evaluate(self.logp, x) if self.journal else self.logp(x)
+        return prior + likelihood
+
+    def gradients(self, x):
+        """Log-density (n,) at points (n, d), and its gradient (n, d)."""
+        self.n_gradients += len(x)
+        function = self.logp.gradient
+        parts = self.journal.evaluate(function, x, 2) if self.journal else function(x)
+        prior, likelihood, _, *slopes = parts
+        return prior + likelihood, np.add(*slopes)
+
+
+def in_units(gradients: Callable, centre, scale) -> Callable:
+    """Log-density (n,) and its gradient (n, d) by coordinates (x - centre) / scale."""
+
+    def scaled(u):
+        value, slope = gradients(centre + scale * u)
+        return value, slope * scale
+
+    return scaled
+
+
 class Mode(NamedTuple):
     """End of climbs, in prior standard deviations from the prior's mean.
 
@@ -228,10 +269,10 @@ class Reference:
         weights = np.exp(log_weights - log_weights.max())
         return weights / weights.sum()
 
-    def bent(self, evaluate: Callable, gradient: Callable, rng: np.random.Generator) -> "Reference":
+    def bent(self, density: Density, rng: np.random.Generator) -> "Reference":
         """Add maps that follow the posterior's bends, where its modes are no Gaussians.
 
-        With fewer than `MANY` parameters it stays as it is. `evaluate` and `gradient` as of `find_reference`.
+        With fewer than `MANY` parameters it stays as it is.
         """
         if len(self.centre) < MANY:
             return self
@@ -240,7 +281,9 @@ class Reference:
             variances, vectors = np.linalg.eigh(mode.factor @ mode.factor.T)
             axes = (vectors * np.sqrt(np.maximum(variances, 1e-16 * variances[-1])))[:, ::-1]
             start = Transport((Stretch(self.centre + self.scale * mode.x, self.scale[:, None] * axes),))
-            end = fit_transport(evaluate, gradient, start, rng) if share > MINOR else start
+            end = start
+            if share > MINOR:
+                end = fit_transport(density.values, density.gradients, start, rng)
             maps.append(None if end is start else end)
         return Reference(self.modes, self.centre, self.scale, maps)
 
@@ -277,44 +320,32 @@ class Reference:
         return np.array([self.centre + self.scale * mode.x for mode in self.modes])
 
 
-def find_reference(
-    evaluate: Callable, gradient: Callable, draw_prior: Callable, effort: int
-) -> Reference | None:
+def find_reference(density: Density, effort: int) -> Reference | None:
     """Climb from draws of the prior to the modes of the posterior; None if there is no proper one.
 
     Parameters
     ----------
-    evaluate, gradient : callable
-        Log-posterior density (n,) at points (n, d), and that with its gradient (n, d).
-    draw_prior : callable
-        Draws (n, d) for a number n.
+    density : Density
+        That has not been evaluated yet.
     effort : int
         Gradients to spend on the search for more modes than the first climbs find.
     """
-    candidates = draw_prior(WAVE * CANDIDATES)
+    candidates = density.draw_prior(WAVE * CANDIDATES)
     centre, scale = candidates.mean(axis=0), candidates.std(axis=0)
     if not (np.isfinite(centre).all() and np.isfinite(scale).all() and (scale > 0).all()):
         return None
-    spent = 0
-
-    def scaled(u):
-        nonlocal spent
-        spent += len(u)
-        value, slope = gradient(centre + scale * u)
-        return value, slope * scale
-
-    modes: list[Mode] = []
+    scaled, modes = in_units(density.gradients, centre, scale), []
     for wave in range(1, MOST_WAVES + 1):
-        values = evaluate(candidates).reshape(WAVE, CANDIDATES)
+        values = density.values(candidates).reshape(WAVE, CANDIDATES)
         best = values.argmax(axis=1) + CANDIDATES * np.arange(WAVE)
         starts = (candidates[best] - centre)[values.max(axis=1) > -np.inf] / scale
         modes = with_ends(modes, scaled, *climb(scaled, starts, partial(are_known, modes)))
         # ends on slopes are no reason to go on for long: there may be any number of them
         n_maxima = sum(mode.is_maximum for mode in modes)
-        enough = max(n_maxima, 1) if spent > effort else MORE_CLIMBS * (len(modes) + 1)
+        enough = max(n_maxima, 1) if density.n_gradients > effort else MORE_CLIMBS * (len(modes) + 1)
         if WAVE * wave >= CLIMBS_PER_MODE * enough:
             break
-        candidates = draw_prior(WAVE * CANDIDATES)
+        candidates = density.draw_prior(WAVE * CANDIDATES)
     modes = with_maxima(modes, scaled)
     top = max((mode.log_evidence for mode in modes), default=0.0)
     modes = [mode for mode in modes if mode.log_evidence > top - NEGLIGIBLE]

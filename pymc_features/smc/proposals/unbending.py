@@ -12,6 +12,7 @@ The last step is a triangular transport map (Marzouk, Moselhy, Parno & Spantini,
 of coefficients that follows those shapes; they come from weighted ridge regressions.
 """
 
+from contextlib import suppress
 from functools import partial
 from typing import NamedTuple
 
@@ -442,46 +443,34 @@ def held_out_scores(kinds, x, weights, order, rng) -> tuple[np.ndarray, float]:
     return np.array([score(kind) for kind in kinds]), weights[held].sum()
 
 
-def fit_proposal(x, weights, rng: np.random.Generator, bounded=None) -> FittedProposal:
-    """Fit to distinct points (n, d) with weights (n,): how often each counts.
+def fit_to(points, rng: np.random.Generator, bounded=None, twice: bool = False) -> FittedProposal:
+    """Fit to equally weighted points (n, d), which may hold the same one many times.
 
     Of those parameters that are `bounded`, flags (d,), the logits are given; none by default.
     Of a plain mixture and two behind unbending maps, along the principal axes and along the parameters, that
     with the highest density at points that it was not fitted to. A safeguard of the plain mixture, wider and
     with heavy tails, has a fifth of the draws.
+
+    `twice`, a second map without cubes and fourth powers stands beside one that has them: where one of them
+    has too few draws the other seldom has. Ten springs under EXP with wide priors need a seventh fewer
+    evaluations.
     """
-    weights = np.asarray(weights, dtype=float)
+    x, counts = distinct(points)
+    weights = counts.astype(float)
     order = rng.permutation(len(x))
     plain = fit_mixture(x, weights, rng)
     bent = [partial(fit_unbent, bounded=bounded, rotated=rotated) for rotated in (True, False)]
     kinds = [fit_mixture, *bent]
     scores, _ = held_out_scores(kinds, x, weights, order, rng)
     best = kinds[int(scores.argmax())]
-    first = plain if best is fit_mixture else best(x, weights, rng)
-    if first is not plain:
-        first = first._replace(mixture=heavy_tailed(first.mixture, WIDER))
-    return FittedProposal([first, heavy_tailed(plain, WIDER)], np.array([1.0 - SAFEGUARD, SAFEGUARD]))
-
-
-def fit_to(points, rng: np.random.Generator, bounded=None) -> FittedProposal:
-    """Fit to equally weighted points (n, d), which may hold the same one many times."""
-    return fit_proposal(*distinct(points), rng, bounded)
-
-
-def fit_twice_to(points, rng: np.random.Generator, bounded=None) -> FittedProposal:
-    """Fit as `fit_to`, and where the map has cubes and fourth powers a second one beside it that has none.
-
-    Where one of them has too few draws the other seldom has. Ten springs under EXP with wide priors need a
-    seventh fewer evaluations.
-    """
-    x, weights = distinct(points)
-    fit = fit_proposal(x, weights, rng, bounded)
-    if fit.map is None or all(axis.kind != POWERS for axis in fit.map.axes[1:]):  # the first follows none
-        return fit
-    first, safeguard = fit.components
-    try:
-        other = fit_unbent(x, weights, rng, fit.map.rotated, bounded, powers=False)
-    except (np.linalg.LinAlgError, ValueError):
-        return fit
-    other = other._replace(mixture=heavy_tailed(other.mixture, WIDER))
-    return FittedProposal([first, other, safeguard], np.array(SHARES_OF_TWO))
+    safeguard = heavy_tailed(plain, WIDER)
+    if best is fit_mixture:
+        return FittedProposal([plain, safeguard], np.array([1.0 - SAFEGUARD, SAFEGUARD]))
+    first = best(x, weights, rng)
+    found = [first]
+    if twice and any(axis.kind == POWERS for axis in first.map.axes[1:]):  # the first follows none
+        with suppress(np.linalg.LinAlgError, ValueError):
+            found.append(fit_unbent(x, weights, rng, first.map.rotated, bounded, powers=False))
+    wider = [unbent._replace(mixture=heavy_tailed(unbent.mixture, WIDER)) for unbent in found]
+    shares = SHARES_OF_TWO if len(found) > 1 else (1.0 - SAFEGUARD, SAFEGUARD)
+    return FittedProposal([*wider, safeguard], np.array(shares))
