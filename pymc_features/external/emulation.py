@@ -445,12 +445,12 @@ def first_points(model, space, n, rng):
             warnings.filterwarnings(
                 "ignore", "RandomVariables .* were found in the derived graph", UserWarning
             )
-            cube = unit_cube(model, space, {})
+            to_theta, _ = unit_cube(model, space, {})
     except ValueError:
         return prior_points(model, n, rng)
     sobol = stats.qmc.Sobol(d, rng=rng)
     u = sobol.random_base2(max(1, int(np.ceil(np.log2(n)))))[:n]
-    [theta] = cube.to_theta(np.clip(u, 1e-6, 1.0 - 1e-6))
+    [theta] = to_theta(np.clip(u, 1e-6, 1.0 - 1e-6))
     return theta
 
 

@@ -18,23 +18,10 @@ from pymc_features.inference.parameters import Unconstrained, check_continuous, 
 from pymc_features.smc import Outputs, RowFunction, batched_graph, population_logp
 
 
-class UnitCube(NamedTuple):
-    """Compiled functions of rows (n, d).
-
-    Attributes
-    ----------
-    to_theta : RowFunction
-        From the unit cube to the unconstrained scale.
-    from_theta : RowFunction
-        Back.
-    """
-
-    to_theta: RowFunction
-    from_theta: RowFunction
-
-
-def unit_cube(model: pm.Model, space: Unconstrained, compile_kwargs: dict) -> UnitCube:
+def unit_cube(model: pm.Model, space: Unconstrained, compile_kwargs: dict) -> tuple[RowFunction, RowFunction]:
     """Rosenblatt's transform of the prior: each parameter by its distribution given those it depends on.
+
+    Compiled functions of rows (n, d), from the unit cube to the unconstrained scale, and back.
 
     Raises
     ------
@@ -47,10 +34,8 @@ def unit_cube(model: pm.Model, space: Unconstrained, compile_kwargs: dict) -> Un
         advice = "Write the prior in parameters with independent priors, for example standard normal ones."
         expected = "one whose priors have inverse distribution functions, for the unit cube"
         raise ValueError(message("model", expected, got, advice))
-    return UnitCube(
-        compiled(*graph_to_theta(model, space), compile_kwargs),
-        compiled(*graph_from_theta(model, space), compile_kwargs),
-    )
+    graphs = graph_to_theta(model, space), graph_from_theta(model, space)
+    return tuple(compiled(*graph, compile_kwargs) for graph in graphs)
 
 
 def has_inverse(rv, transform) -> bool:
@@ -134,7 +119,7 @@ class CompiledLogp:
         self.names = coordinate_names(model, self._space)
         self.n_dim = len(self.names)
         self._free = [rv.name for rv in model.free_RVs]
-        self._cube: UnitCube | str
+        self._cube: tuple[RowFunction, RowFunction] | str
         try:
             self._cube = unit_cube(model, self._space, compile_kwargs)
         except ValueError as error:
@@ -183,13 +168,13 @@ class CompiledLogp:
         ValueError
             If PyMC cannot invert the distribution function of a prior.
         """
-        return self._through_cube("to_theta", u, "u")
+        return self._through_cube(0, u, "u")
 
     def to_unit_cube(self, theta: ArrayLike) -> np.ndarray:
         """The inverse of `from_unit_cube`."""
-        return self._through_cube("from_theta", theta, "theta")
+        return self._through_cube(1, theta, "theta")
 
-    def _through_cube(self, way: str, points, name: str):
+    def _through_cube(self, way: int, points, name: str):
         """Rows through one of the functions of the unit cube."""
         if isinstance(self._cube, str):
             raise ValueError(self._cube)
@@ -198,7 +183,7 @@ class CompiledLogp:
             if np.any((points < 0.0) | (points > 1.0)):
                 raise ValueError(message("u", "between 0 and 1", f"{points.min():g} to {points.max():g}"))
             points = np.clip(points, SMALLEST, 1.0 - SMALLEST)
-        [moved] = getattr(self._cube, way)(points)
+        [moved] = self._cube[way](points)
         return moved[0] if alone else moved
 
     def __getstate__(self):

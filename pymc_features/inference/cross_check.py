@@ -28,8 +28,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.smc.kernels.chains import GRADIENT_COST
-from pymc_features.smc.proposals.pool import LARGEST_K, log_sum, pareto_k, pareto_smoothed
-from pymc_features.smc.proposals.proposal import Mixture, StudentT, distinct, fit_mixture
+from pymc_features.smc.proposals.pool import LARGEST_K, log_mean, pareto_k, pareto_smoothed
+from pymc_features.smc.proposals.proposal import Mixture, StudentT, distinct, fit_mixture, log_sum
 from pymc_features.smc.proposals.reference import (
     WIDEST,
     Density,
@@ -256,7 +256,7 @@ def cross_check(
     counts, x = np.array([len(p) for p in points]), np.concatenate(points)
     terms = np.array([source.log_density(x) for source in sources])
     log_weights = np.concatenate(values) - log_sum(terms + np.log(counts / counts.sum())[:, None])
-    rise, error = evidence(log_weights)
+    rise, error = log_mean(log_weights)
     limit = max(LEAST_RISE, STANDARD_ERRORS * np.hypot(error, standard_error))
     weights, light_tails = np.exp(log_weights - log_weights.max()), tails_are_light(log_weights, x, draws)
     densest = np.where((terms[1:] > terms[0] + MUCH_DENSER).any(axis=0), terms.argmax(axis=0), 0)
@@ -286,13 +286,6 @@ def was_found_by_chance(reference: Reference, ends) -> bool:
     counts = np.bincount(np.argmax(logs, axis=0), minlength=len(logs))
     counts += [mode.n_climbs for mode in reference.modes]
     return bool(((reference.mode_shares() > HEAVY) & (counts < FEW_CLIMBS * counts.sum())).any())
-
-
-def evidence(log_weights) -> tuple[float, float]:
-    """Log mean of weights (n,), and its standard error; some weight is positive."""
-    weights = np.exp(log_weights - log_weights.max())
-    mean = weights.mean()
-    return log_weights.max() + np.log(mean), weights.std() / mean / np.sqrt(len(weights))
 
 
 def tails_are_light(log_weights, x, draws) -> bool | None:

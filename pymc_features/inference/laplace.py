@@ -18,6 +18,7 @@ from pymc_features.inference.parameters import (
     initial_values,
 )
 from pymc_features.smc import find_reference, likelihood_kinds, population_logp, prior_points
+from pymc_features.smc.proposals.pool import QUANTILES, log_mean
 from pymc_features.smc.proposals.reference import Density, climb, curvature, in_units
 
 MAX_NEWTON, MAX_HALVINGS = 30, 30
@@ -86,7 +87,6 @@ def distinct(modes: list) -> list:
 
 LOW_EFFICIENCY = 0.2
 LARGE_ERROR = 0.2  # of a quantile, over the 5-95 % width
-QUANTILES = (0.05, 0.5, 0.95)
 
 
 def laplace(
@@ -230,21 +230,22 @@ def tree(model, space, particles, modes, evidences, log_ratios):
     n = len(ratios)
     efficiency = float(ratios.sum() ** 2 / (ratios**2).sum() / n)
     values = space.variables(particles)
-    worst, error = largest_error({rv.name: values[rv.name] for rv in model.free_RVs}, ratios)
-    if efficiency < LOW_EFFICIENCY or error > LARGE_ERROR:
+    log_z, error = log_mean(log_ratios)
+    worst, largest = largest_error({rv.name: values[rv.name] for rv in model.free_RVs}, ratios)
+    if efficiency < LOW_EFFICIENCY or largest > LARGE_ERROR:
         warnings.warn(
             f"Laplace's approximation is poor here: its draws are worth {100 * efficiency:.2g} % of as many "
-            f"from the posterior, and a quantile of {worst} is off by {100 * error:.0f} % of the 5-95 % "
+            f"from the posterior, and a quantile of {worst} is off by {100 * largest:.0f} % of the 5-95 % "
             "width. Sample with sample().",
             LaplaceWarning,
             stacklevel=3,
         )
     stats = {
         "log_marginal_likelihood": [np.logaddexp.reduce(evidences)],
-        "log_marginal_likelihood_is": [log_ratios.max() + np.log(ratios.mean())],
-        "log_marginal_likelihood_is_se": [ratios.std() / ratios.mean() / np.sqrt(n)],
+        "log_marginal_likelihood_is": [log_z],
+        "log_marginal_likelihood_is_se": [error],
         "efficiency": [efficiency],
-        "largest_error": [error],
+        "largest_error": [largest],
     }
     result = az.from_dict(
         {"posterior": {k: v[None] for k, v in values.items()}}, coords=coords, dims=model.named_vars_to_dims

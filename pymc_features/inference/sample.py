@@ -30,7 +30,7 @@ from pymc_features.smc import (
 )
 from pymc_features.smc.kernels.chains import GRADIENT_COST
 from pymc_features.smc.kernels.checkpoint import Journal, model_fingerprint, remembered
-from pymc_features.smc.proposals.pool import LARGEST_K, LARGEST_SHARE
+from pymc_features.smc.proposals.pool import LARGEST_K, LARGEST_SHARE, QUANTILES
 from pymc_features.smc.proposals.reference import Density
 
 AGREEMENT = 1.01  # largest R-hat of runs that agree
@@ -347,7 +347,6 @@ N_PRIOR = 500  # prior draws that say what the data have added
 UNDETERMINED = 0.7  # share of its prior variance that such a direction keeps
 LOADING = 0.3  # of a parameter in a direction, beside the largest, to be named
 N_GAUSSIAN = 20_000  # draws from the Gaussians at the modes; they cost no evaluation
-QUANTILES = (0.05, 0.5, 0.95)
 CLOSE, LEAST_EFFICIENCY = 0.1, 0.4  # error of quantiles and share of draws, of a posterior near its Gaussians
 
 

@@ -3,7 +3,7 @@
 import copy
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
@@ -268,52 +268,36 @@ def kind_of_density(op) -> str:
     return "data" if density == "data" else f"{density} of {type(op).__name__.removesuffix('RV')}"
 
 
-class TraceFunction:
-    """What a trace holds of a model, of many draws at once.
+def trace_function(model) -> Callable[[list], dict[str, np.ndarray]] | None:
+    """What a trace holds of a model, of many draws at once: all variables (draw, ...) by name.
 
-    Parameters
-    ----------
-    model : pymc.Model
-
-    Attributes
-    ----------
-    possible : bool
-        False if something in the model takes one draw at a time, or draws random numbers itself.
+    From those of `model.value_vars`. None if something in the model takes one draw at a time, or draws random
+    numbers itself.
     """
+    values, variables = model.value_vars, model.unobserved_value_vars
+    rest = [v for v in variables if v not in values]
+    nodes = nodes_of(rest)
+    if simulator_functions(nodes) or any(map(is_random, nodes)):
+        return None
+    inputs = [pt.tensor(v.name, dtype=v.dtype, shape=(None, *v.type.shape)) for v in values]
+    try:
+        outputs = vectorize_graph(rest, dict(zip(values, inputs, strict=True)))
+    except Exception:  # any Op of any library may refuse in its own way
+        return None
+    outputs = [
+        new if new.ndim > old.ndim else pt.broadcast_to(new, (inputs[0].shape[0], *new.shape))
+        for new, old in zip(outputs, rest, strict=True)
+    ]
+    function = compile_function(inputs, outputs, on_unused_input="ignore", **with_mode({}, outputs))
+    batch = max(1, BATCH_BYTES // (8 * largest_result(values, rest)))
 
-    def __init__(self, model):
-        self.values = model.value_vars
-        self.variables = model.unobserved_value_vars
-        rest = [v for v in self.variables if v not in self.values]
-        nodes = nodes_of(rest)
-        self.possible = not (simulator_functions(nodes) or any(map(is_random, nodes)))
-        self.names, self.function = [v.name for v in rest], None
-        if not (self.possible and rest):
-            return
-        self.batch = max(1, BATCH_BYTES // (8 * largest_result(self.values, rest)))
-        inputs = [pt.tensor(v.name, dtype=v.dtype, shape=(None, *v.type.shape)) for v in self.values]
-        try:
-            outputs = vectorize_graph(rest, dict(zip(self.values, inputs, strict=True)))
-        except Exception:  # any Op of any library may refuse in its own way
-            self.possible = False
-            return
-        rows = inputs[0].shape[0]
-        outputs = [
-            new if new.ndim > old.ndim else pt.broadcast_to(new, (rows, *new.shape))
-            for new, old in zip(outputs, rest, strict=True)
-        ]
-        self.function = compile_function(inputs, outputs, on_unused_input="ignore", **with_mode({}, outputs))
+    def all_variables(draws: list) -> dict[str, np.ndarray]:
+        parts = [function(*(x[i : i + batch] for x in draws)) for i in range(0, len(draws[0]), batch)]
+        found = dict(zip([v.name for v in values], draws, strict=True))
+        found |= zip([v.name for v in rest], map(np.concatenate, zip(*parts, strict=True)), strict=True)
+        return {v.name: found[v.name] for v in variables}
 
-    def __call__(self, draws: list) -> dict[str, np.ndarray]:
-        """All variables (draw, ...) by name, from those of `model.value_vars`."""
-        own = dict(zip([v.name for v in self.values], draws, strict=True))
-        if self.function is not None:
-            parts = [
-                self.function(*(x[i : i + self.batch] for x in draws))
-                for i in range(0, len(draws[0]), self.batch)
-            ]
-            own |= dict(zip(self.names, map(np.concatenate, zip(*parts, strict=True)), strict=True))
-        return {v.name: own[v.name] for v in self.variables}
+    return all_variables
 
 
 @contextmanager
@@ -323,8 +307,8 @@ def all_draws_at_once() -> Iterator[None]:
 
     def build_trace(tempered_posterior, var_info, variables, chain, model):
         if model not in functions:
-            functions[model] = TraceFunction(model)
-        if not functions[model].possible:
+            functions[model] = trace_function(model)
+        if functions[model] is None:
             return draw_by_draw(tempered_posterior, var_info, variables, chain, model)
         draws, first = [], 0
         for v in variables:

@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 import cloudpickle
 import numpy as np
@@ -67,24 +66,6 @@ def parts_of(n: int, unit: int, least: int, places: int | None) -> list[tuple[in
     return parts
 
 
-class PartResult(NamedTuple):
-    """What comes back of a part.
-
-    Attributes
-    ----------
-    outputs : list of array (p, ...)
-        As from `RowFunction`.
-    last_error : str
-        What the model raised last; empty if nothing did.
-    warned : list of tuple (type, str)
-        Warnings of this package.
-    """
-
-    outputs: list
-    last_error: str
-    warned: list
-
-
 class ModelPart:
     """The evaluation of a model on a worker.
 
@@ -99,15 +80,18 @@ class ModelPart:
     def __init__(self, logp: PopulationLogp):
         self.logp = logp
 
-    def __call__(self, which: str, particles: np.ndarray | None) -> PartResult | None:
-        """Raw outputs of `values` or `slopes` of particles (p, d); none only loads the model."""
+    def __call__(self, which: str, particles: np.ndarray | None) -> tuple[list, str, list] | None:
+        """Raw outputs of `values` or `slopes` of particles (p, d); without any it only loads the model.
+
+        Besides, what the model raised last, empty if nothing did, and types and texts of our warnings.
+        """
         if particles is None:
             return None
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             outputs = getattr(self.logp, which)(particles)
         told = [(w.category, str(w.message)) for w in caught if is_ours(w.category)]
-        return PartResult(outputs, self.logp.last_error, told)
+        return outputs, self.logp.last_error, told
 
     def __setstate__(self, state):
         self.__dict__.update(state)
@@ -307,11 +291,11 @@ class Run:
             self.check()
             if outcome.state != "ok":
                 refuse(outcome)
-            results[k] = outcome.value.outputs
+            results[k], last_error, warned = outcome.value
             seconds += outcome.seconds
-            if outcome.value.last_error:
-                getattr(logp, which).raised = outcome.value.last_error
-            self.workers.tell(outcome.value.warned)
+            if last_error:
+                getattr(logp, which).raised = last_error
+            self.workers.tell(warned)
 
         calls = [(k, (which, np.ascontiguousarray(particles[i:j]))) for k, (i, j) in enumerate(parts)]
         try:

@@ -246,7 +246,7 @@ class LastStage(PersistentSMC):
     """The end of `PersistentSMC` alone, with a posterior of two Student-t coordinates and a wide prior."""
 
     draws, n_parameters, stage_draws, last_stage, beta = 200, 2, 100, 1, 1.0
-    bounded, reference, needs_fit, hamiltonian_share = None, None, True, 0.0
+    bounded, reference, reference_is_good, hamiltonian_share = None, None, False, 0.0
 
     def __init__(self, seed, degrees=5):
         self.rng, self.degrees, self.looks = np.random.default_rng(seed), degrees, []

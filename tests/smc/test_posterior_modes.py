@@ -5,7 +5,7 @@ import pytest
 from scipy import optimize, stats
 
 from pymc_features.smc.proposals import reference
-from pymc_features.smc.proposals.pool import log_sum
+from pymc_features.smc.proposals.proposal import log_sum
 from pymc_features.smc.proposals.reference import curvature, find_reference
 
 

@@ -4,7 +4,8 @@ import uuid
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from weakref import WeakKeyDictionary, WeakValueDictionary
+from functools import cached_property
+from weakref import WeakValueDictionary
 
 import cloudpickle
 import numpy as np
@@ -21,7 +22,7 @@ from pymc_features.smc.density.graph import (
     is_random,
     simulator_functions,
 )
-from pymc_features.smc.density.prior import inside_support, prior_points
+from pymc_features.smc.density.prior import inside_support, kept_for, prior_points
 from pymc_features.smc.density.rows import RowFunction
 
 
@@ -70,7 +71,6 @@ PRIOR_POINTS = 1024  # at most, from which bases are made
 
 # In this process, and in those forked from it, a pickled evaluation finds its compiled functions here.
 _ALIVE: WeakValueDictionary = WeakValueDictionary()
-_OF_MODEL: WeakKeyDictionary = WeakKeyDictionary()
 
 
 class PopulationLogp:
@@ -111,7 +111,7 @@ class PopulationLogp:
             )
         self.spread = None
         self.values = RowFunction(self.graph, self.compile_kwargs)
-        self.slopes = self._why_no_gradient = self._with_slopes = None  # not known before they are asked for
+        self.slopes = self._with_slopes = None  # not known before they are asked for
         _ALIVE[self.token] = self
         start = np.concatenate([np.ravel(point[v.name]) for v in model.value_vars])[None]
         self.start = start.astype(self.graph.one.joined.dtype)
@@ -202,20 +202,16 @@ class PopulationLogp:
                 owner.slopes(owner.start)
             if owner.all_over is not None:
                 owner.slopes.learn(owner.all_over)
-        self.slopes, self._why_no_gradient = owner.slopes, ""
+        self.slopes, self.why_no_gradient = owner.slopes, ""
 
-    @property
+    @cached_property
     def why_no_gradient(self) -> str:
         """What part of the model has no gradient; empty if there is one. Compiles nothing."""
-        if self._why_no_gradient is None:
-            self._why_no_gradient = ""
-            try:
-                self._with_slopes = gradient_graph(self.graph)
-            except NotDifferentiableError as error:
-                self._why_no_gradient = str(error)
-            if not self._why_no_gradient and self.draws_random_numbers:
-                self._why_no_gradient = "random numbers are drawn inside, anew in each call"
-        return self._why_no_gradient
+        try:
+            self._with_slopes = gradient_graph(self.graph)
+        except NotDifferentiableError as error:
+            return str(error)
+        return "random numbers are drawn inside, anew in each call" if self.draws_random_numbers else ""
 
     @property
     def has_gradient(self) -> bool:
@@ -300,9 +296,8 @@ def population_logp(model, point, compile_kwargs, name="posterior", terms=None) 
         model.check_bounds,
         repr(sorted(compile_kwargs.items())),
     )
-    evaluations = _OF_MODEL.setdefault(model, {})
-    known = evaluations.get(name)
-    if known is None or known[0] != key:
-        logp = PopulationLogp(model, point, compile_kwargs, None if terms is None else terms())
-        known = evaluations[name] = (key, logp)
-    return known[1]
+
+    def make():
+        return PopulationLogp(model, point, compile_kwargs, None if terms is None else terms())
+
+    return kept_for(model, f"density {name}", key, make)

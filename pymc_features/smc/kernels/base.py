@@ -135,11 +135,9 @@ class PopulationKernel(SMC_KERNEL):
         self.variables = model.value_vars
         self.start = None if start is None else checked_start(start, self.variables)
         self.prior = prior_draws(model, self.starts_from_prior)
-        self.prior_names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
         # in place of PyMC's initial point, which is compiled anew each time
         draw = self.prior(1, np.random.default_rng(self.rng.integers(2**30)))
-        point = {name: values[0] for name, values in zip(self.prior_names, draw, strict=True)}
-        point = {v.name: point[v.name] for v in self.variables}
+        point = {v.name: draw[v.name][0] for v in self.variables}
         self.var_info = {name: (value.shape, value.size) for name, value in point.items()}
         self.n_parameters = sum(size for _, size in self.var_info.values())
         self.compile_evaluation(model, point, compile_kwargs)
@@ -204,10 +202,8 @@ class PopulationKernel(SMC_KERNEL):
 
     def initial_particles(self, n: int) -> np.ndarray:
         """The given start, or `n` draws from the prior: (n, d)."""
-        if self.start:  # PyMC sets it once more, unchecked
-            initial = checked_start(self.start, self.variables)
-        else:
-            initial = dict(zip(self.prior_names, self.prior(n, self.rng), strict=True))
+        # PyMC sets `start` once more, unchecked
+        initial = checked_start(self.start, self.variables) if self.start else self.prior(n, self.rng)
         columns = []
         for v in self.variables:
             values = np.array(initial[v.name], dtype=np.float64)

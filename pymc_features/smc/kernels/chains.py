@@ -212,18 +212,18 @@ class FittedMoves:
             y = self.proposal.move(x, SCALES[ARMS[arm]], rng)
             new_density = self.proposal.log_density(y)
             return y, new_density, density - new_density
-        n, d = x.shape
+        (n, d), mapping, ratio = x.shape, self.proposal.map, 0.0
         a, b = rng.integers(len(self.points), size=(2, n))
         length = (2.38 / np.sqrt(2.0 * d) * np.exp(0.7 * rng.standard_normal(n)))[:, None]
-        mapping = self.proposal.map
         if ARMS[arm] == "difference" or mapping is None:
             y = x + length * (self.points[a] - self.points[b])
-            return y, self.proposal.log_density(y), 0.0
-        with np.errstate(over="ignore", invalid="ignore"):
-            z, log_jacobian = mapping.forward(x)
-            y = mapping.inverse(z + length * (self.unbent[a] - self.unbent[b]))
-            y = np.where(np.isfinite(y).all(axis=1)[:, None], y, x)
-            return y, self.proposal.log_density(y), log_jacobian - mapping.forward(y)[1]
+        else:
+            with np.errstate(over="ignore", invalid="ignore"):
+                z, log_jacobian = mapping.forward(x)
+                y = mapping.inverse(z + length * (self.unbent[a] - self.unbent[b]))
+                y = np.where(np.isfinite(y).all(axis=1)[:, None], y, x)
+                ratio = log_jacobian - mapping.forward(y)[1]
+        return y, self.proposal.log_density(y), ratio
 
     def learn(self, arm: int, x, y, probability, gradients: float = 0.0) -> None:
         """Note how far a move went on average, with so many gradients for each chain or with one value."""

@@ -250,14 +250,13 @@ class PersistentSMC(PopulationKernel):
 
     def tune(self) -> None:
         """Fit the proposal to the weighted pool, if independent draws from the reference will not do."""
-        self.needs_fit = self.reference is None or not self.reference_is_good
-        if self.needs_fit:
+        if not self.reference_is_good:
             self.moves.fit(self.fitting_points(), self.rng)
 
     def mutate(self) -> None:
         """Advance chains of this temperature; at the end, draw from fits to all points."""
         self.n_steps, self.steps_per_draw, self.hamiltonian_share = 1, 1.0, 0.0  # of independent draws
-        if self.needs_fit and not self.fit_is_good():
+        if not (self.reference_is_good or self.fit_is_good()):
             self.advance()
             if self.beta == 1.0:
                 self.advance_until_a_fit_is_usable()
@@ -369,7 +368,7 @@ class PersistentSMC(PopulationKernel):
         """Fit to the whole pool; the number of the fit."""
         points = self.fitting_points()
         # draws in many dimensions, a few of them heavy, are too few for a fit to be as good
-        bent = not self.needs_fit and self.n_parameters >= MANY
+        bent = self.reference_is_good and self.n_parameters >= MANY
         fit = self.reference.mixture if bent else fit_to(points, self.rng, self.bounded, twice=True)
         return self.pool.add_proposal(fit)
 

@@ -122,14 +122,18 @@ LOCAL_SHARES = (0.2, 0.5)
 FORGOTTEN = (0.1, 0.001)
 
 
-class AdaptiveMoves:
+class CrossedMoves:
     """Proposals of a Markov chain, as long as their acceptance allows.
 
     Most are moves of a mixture fitted to points of the target (`StudentMixture.move`): independent of the
-    present point at a `scale` of one, shortened towards it (t-preconditioned Crank-Nicolson, a conditional
+    present point at a scale of one, shortened towards it (t-preconditioned Crank-Nicolson, a conditional
     move) below. Some are steps along the difference of two of the points (differential evolution,
     ter Braak 2006): of the right size even in a corner of the target that holds too few points for the
     mixture to see it.
+
+    Moves fitted to the very points they start from fit them too well: few of them lead away, and a population
+    keeps the errors of its seeds. So even rows belong to one half, odd rows to the other, and each half is
+    moved by what is fitted to the other one.
 
     Parameters
     ----------
@@ -138,9 +142,9 @@ class AdaptiveMoves:
 
     Attributes
     ----------
-    scale : float
-        Length of the mixture's moves, up to 1; kept from stage to stage.
-    memory : float
+    scales : array (2,)
+        Length of the mixtures' moves, up to 1; kept from stage to stage.
+    memory : array (2,)
         Expected correlation with the points at which the stage began.
     n_steps : int
         Steps of the stage.
@@ -150,90 +154,47 @@ class AdaptiveMoves:
         rise = float(np.clip((n_parameters - 2) / 9.0, 0.0, 1.0))
         self.local_share = LOCAL_SHARES[0] + rise * (LOCAL_SHARES[1] - LOCAL_SHARES[0])
         self.forgotten = FORGOTTEN[0] * (FORGOTTEN[1] / FORGOTTEN[0]) ** rise
-        self.scale, self.memory, self.n_steps = 1.0, 1.0, 0
+        self.scales = np.ones(2)
 
     def fit(self, points, rng: np.random.Generator):
         """Begin a stage: fit to equally weighted points (n, d) of its target."""
-        self.mixture = fit_mixture(*distinct(points), rng)
-        self.points = points
-        self.memory, self.n_steps = 1.0, 0
-
-    @property
-    def kept(self) -> float:
-        """Share of its distance from the centre that a moved point keeps."""
-        return np.sqrt(1.0 - self.scale**2)
-
-    def propose(self, x, rng: np.random.Generator):
-        """Return proposals (n, d), and which of them (n,) are local and hence symmetric."""
-        n, d = x.shape
-        proposal = self.mixture.move(x, self.scale, rng)
-        a, b = rng.integers(len(self.points), size=(2, n))
-        step = self.points[a] - self.points[b]
-        local = (rng.random(n) < self.local_share) & step.any(axis=1)
-        length = 2.38 / np.sqrt(2.0 * d) * np.exp(0.7 * rng.standard_normal(n))
-        return np.where(local[:, None], x + length[:, None] * step, proposal), local
-
-    def learn(self, acceptance: float):
-        """After a step: forget, and shorten moves that are rarely accepted, lengthen them otherwise."""
-        self.n_steps += 1
-        self.memory *= 1.0 - (1.0 - self.local_share) * acceptance * (1.0 - self.kept)
-        gain = 1.0 / np.sqrt(1.0 + 0.1 * self.n_steps)
-        self.scale = float(np.clip(self.scale * np.exp(gain * (acceptance - TARGET_AT_AN_EDGE)), 1e-3, 1.0))
-
-    @property
-    def has_forgotten(self) -> bool:
-        """Whether little of the stage's first points is left."""
-        return self.memory <= self.forgotten
-
-
-class CrossedMoves:
-    """Two `AdaptiveMoves`, each fitted to the points that the other one moves.
-
-    Moves fitted to the very points they start from fit them too well: few of them lead away, and a population
-    keeps the errors of its seeds. Even rows belong to one half, odd rows to the other.
-    """
-
-    def __init__(self, n_parameters: int):
-        self.halves = [AdaptiveMoves(n_parameters) for _ in range(2)]
-
-    def fit(self, points, rng):
-        """Begin a stage from equally weighted points (n, d)."""
-        for k, moves in enumerate(self.halves):
-            moves.fit(points[1 - k :: 2], rng)
+        self.points = points[1::2], points[::2]
+        self.mixtures = [fit_mixture(*distinct(half), rng) for half in self.points]
+        self.memory, self.n_steps = np.ones(2), 0
 
     def log_density(self, x):
         """Log-density (n,) of each point's mixture."""
         density = np.empty(len(x))
-        for k, moves in enumerate(self.halves):
-            density[k::2] = moves.mixture.log_density(x[k::2])
+        for k, mixture in enumerate(self.mixtures):
+            density[k::2] = mixture.log_density(x[k::2])
         return density
 
-    def propose(self, x, rng):
+    def propose(self, x, rng: np.random.Generator):
         """Return proposals (n, d), and which of them (n,) are local and hence symmetric."""
         proposal, local = np.empty_like(x), np.empty(len(x), dtype=bool)
-        for k, moves in enumerate(self.halves):
-            proposal[k::2], local[k::2] = moves.propose(x[k::2], rng)
+        for k, points in enumerate(self.points):
+            n, d = x[k::2].shape
+            moved = self.mixtures[k].move(x[k::2], self.scales[k], rng)
+            a, b = rng.integers(len(points), size=(2, n))
+            step = points[a] - points[b]
+            local[k::2] = (rng.random(n) < self.local_share) & step.any(axis=1)
+            length = 2.38 / np.sqrt(2.0 * d) * np.exp(0.7 * rng.standard_normal(n))
+            proposal[k::2] = np.where(local[k::2, None], x[k::2] + length[:, None] * step, moved)
         return proposal, local
 
     def learn(self, moved):
-        """After a step, from which points moved (n,)."""
-        for k, moves in enumerate(self.halves):
-            moves.learn(moved[k::2].mean())
-
-    @property
-    def n_steps(self) -> int:
-        """Steps of the stage."""
-        return self.halves[0].n_steps
-
-    @property
-    def scale(self) -> float:
-        """Mean length of the mixtures' moves."""
-        return float(np.mean([moves.scale for moves in self.halves]))
+        """After a step, from which points moved (n,): forget, and shorten moves that are rarely accepted."""
+        acceptance = np.array([moved[k::2].mean() for k in range(2)])
+        kept = np.sqrt(1.0 - self.scales**2)  # of its distance from the centre, by a moved point
+        self.n_steps += 1
+        self.memory *= 1.0 - (1.0 - self.local_share) * acceptance * (1.0 - kept)
+        gain = 1.0 / np.sqrt(1.0 + 0.1 * self.n_steps)
+        self.scales = np.clip(self.scales * np.exp(gain * (acceptance - TARGET_AT_AN_EDGE)), 1e-3, 1.0)
 
     @property
     def has_forgotten(self) -> bool:
         """Whether little of the stage's first points is left in either half."""
-        return all(moves.has_forgotten for moves in self.halves)
+        return bool((self.memory <= self.forgotten).all())
 
 
 FEWEST = 4  # particles within a tolerance: two for each half
@@ -549,7 +510,7 @@ class SubsetSimulation(PopulationKernel):
             states.append((x, base, rho))
             acceptances.append(moved.mean())
             moves.learn(moved)
-        self.n_steps, self.scale = moves.n_steps, moves.scale
+        self.n_steps, self.scale = moves.n_steps, float(moves.scales.mean())
         self.accept_rate = float(np.mean(acceptances)) if acceptances else np.nan
         self.collect(states)
 

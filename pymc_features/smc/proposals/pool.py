@@ -89,6 +89,13 @@ def pareto_smoothed(log_weights) -> np.ndarray:
     return smoothed
 
 
+def log_mean(log_weights) -> tuple[float, float]:
+    """Log mean of weights (n,), and its standard error; some weight is positive."""
+    weights = np.exp(log_weights - log_weights.max())
+    mean = weights.mean()
+    return log_weights.max() + np.log(mean), weights.std() / mean / np.sqrt(len(weights))
+
+
 def origins(terms, log_z, counts):
     """Probabilities (s, n) that a point comes from each density, and ln sum_s n_s p_s / Z_s (n,)."""
     terms = terms + (np.log(counts) - log_z)[:, None]

@@ -35,7 +35,7 @@ SEEDS = {"None", "0"}
 
 def no_prior(model, from_prior):
     """In place of the function that draws from the prior."""
-    return lambda n, rng: [np.zeros((n, *np.shape(rv.type.shape))) for rv in model.free_RVs]
+    return lambda n, rng: {v.name: np.zeros((n, *np.shape(v.type.shape))) for v in model.value_vars}
 
 
 def no_density(*args):
