@@ -157,15 +157,12 @@ def laplace(
     model = check_model(model)
     check_continuous(model, "laplace()")
     if start is not None:
-        start = initial_values(model, start, "start")
+        values = initial_values(model, start, "start")
+        start = forward_transform(model)(*(values[rv.name].astype(rv.dtype) for rv in model.free_RVs))
     space = Unconstrained(model)
     logp = population_logp(model, model.initial_point(), compile_kwargs)
     logp.compile_gradient()
-    density = Density(logp, lambda n: prior_points(model, n, rng))
-    if start is None:
-        found = modes_from_prior(density, draws)
-    else:
-        found = modes_from(density, starting_point(model, start))
+    found = modes_from(Density(logp, lambda n: prior_points(model, n, rng)), start, draws)
     if not found:
         raise ValueError(
             "the posterior must have a maximum with positive curvature, found none from "
@@ -180,25 +177,15 @@ def laplace(
     return tree(model, space, particles, found, evidences, prior + likelihood - log_density)
 
 
-def modes_from_prior(density: Density, effort):
-    """Modes (x, value, curvature) that climbs from draws of the prior lead to, the highest first."""
-    reference = find_reference(density, effort)
-    if reference is None:
-        return []
-    ends, scale = reference.peaks, reference.scale
+def modes_from(density: Density, start, effort) -> list:
+    """Modes (x, value, curvature), the highest first, that climbs lead to, from `start` (d,) or the prior."""
+    if start is None:
+        reference = find_reference(density, effort)
+        ends, scale = ([], 1.0) if reference is None else (reference.peaks, reference.scale)
+    else:
+        ends, _ = climb(density.gradients, start[None], lambda x: np.zeros(len(x), dtype=bool))
+        scale = np.ones(len(start))
     return distinct([mode for x in ends if (mode := gaussian_at(density.gradients, x, scale)) is not None])
-
-
-def modes_from(density: Density, x):
-    """The mode (x, value, curvature) that a climb from a point (d,) leads to, if it is one, as a list."""
-    ends, _ = climb(density.gradients, x[None], lambda x: np.zeros(len(x), dtype=bool))
-    mode = gaussian_at(density.gradients, ends[0], np.ones(len(x)))
-    return [] if mode is None else [mode]
-
-
-def starting_point(model, start):
-    """The flat point (d,) of values of all free parameters on their own scale."""
-    return forward_transform(model)(*(start[rv.name].astype(rv.dtype) for rv in model.free_RVs))
 
 
 def draw_mixture(modes, evidences, n, rng):

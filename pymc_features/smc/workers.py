@@ -90,8 +90,8 @@ class ModelPart:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             outputs = getattr(self.logp, which)(particles)
-        told = [(w.category, str(w.message)) for w in caught if is_ours(w.category)]
-        return outputs, self.logp.last_error, told
+        ours = [w for w in caught if w.category.__module__.partition(".")[0] == "pymc_features"]
+        return outputs, self.logp.last_error, [(w.category, str(w.message)) for w in ours]
 
     def __setstate__(self, state):
         self.__dict__.update(state)
@@ -99,11 +99,6 @@ class ModelPart:
             for function in (self.logp.values, self.logp.slopes):
                 if function is not None:
                     function(self.logp.start)
-
-
-def is_ours(category: type) -> bool:
-    """Whether a warning is one of this package."""
-    return category.__module__.partition(".")[0] == "pymc_features"
 
 
 @contextmanager

@@ -10,16 +10,18 @@ from weakref import WeakValueDictionary
 import cloudpickle
 import numpy as np
 import pytensor.tensor as pt
+from pymc.vartypes import discrete_types
 from pytensor.gradient import NullTypeGradError
 
 from pymc_features.exceptions import NotDifferentiableError, PopulationWarning
 from pymc_features.smc.density.graph import (
     DensityGraph,
     Outputs,
+    batched_graph,
     core_op,
-    density_graph,
     inner_nodes,
     is_random,
+    joined_graph,
     simulator_functions,
 )
 from pymc_features.smc.density.prior import inside_support, kept_for, prior_points
@@ -34,8 +36,6 @@ def gradient_graph(graph: DensityGraph) -> DensityGraph:
     NotDifferentiableError
         If a part of the model has no gradient; the message is one sentence without its stop.
     """
-    if graph.discrete:
-        raise NotDifferentiableError(f"{', '.join(graph.discrete)} is discrete")
     try:
         one = with_gradients(graph.one)
     except Exception as error:  # any Op of any library may refuse in its own way
@@ -99,9 +99,9 @@ class PopulationLogp:
     def __init__(self, model, point, compile_kwargs, terms=None):
         self.token = uuid.uuid4().hex
         self.compile_kwargs = dict(compile_kwargs)
-        self.graph = density_graph(
-            model, point, *inside_support(model, point, terms or (model.varlogp, model.datalogp))
-        )
+        terms = inside_support(model, point, terms or (model.varlogp, model.datalogp))
+        self.graph = batched_graph(joined_graph(model, point, *terms))
+        self.discrete = [v.name for v in model.value_vars if v.dtype in discrete_types]
         self.counts_simulations = self.graph.counts_simulations
         if self.graph.why_not_batched:
             warnings.warn(
@@ -207,6 +207,8 @@ class PopulationLogp:
     @cached_property
     def why_no_gradient(self) -> str:
         """What part of the model has no gradient; empty if there is one. Compiles nothing."""
+        if self.discrete:
+            return f"{', '.join(self.discrete)} is discrete"
         try:
             self._with_slopes = gradient_graph(self.graph)
         except NotDifferentiableError as error:

@@ -7,7 +7,6 @@ import pytensor.tensor as pt
 from pymc.distributions.simulator import SimulatorRV
 from pymc.logprob.utils import local_check_parameter_to_ninf_switch, local_remove_check_parameter
 from pymc.pytensorf import join_nonshared_inputs
-from pymc.vartypes import discrete_types
 from pytensor.compile import optdb
 from pytensor.compile.ops import DeepCopyOp, ViewOp
 from pytensor.compile.sharedvalue import SharedVariable
@@ -138,14 +137,11 @@ class DensityGraph(NamedTuple):
         The same of particles (p, d); None if a part of the model takes no batch.
     why_not_batched : str
         What part that is; empty if there is none.
-    discrete : tuple of str
-        Names of the discrete variables.
     """
 
     one: Outputs
     population: Outputs | None
     why_not_batched: str
-    discrete: tuple[str, ...]
 
     @property
     def counts_simulations(self) -> bool:
@@ -153,24 +149,18 @@ class DensityGraph(NamedTuple):
         return len(self.one.outputs) > 2
 
 
-def density_graph(model, point, outputs: list, inputs: list) -> DensityGraph:
-    """The graph of scalars in `inputs`: the model's value variables, or what stands for them."""
-    discrete = tuple(v.name for v in model.value_vars if v.dtype in discrete_types)
-    return batched_graph(joined_graph(model, point, outputs, inputs), discrete)
-
-
-def batched_graph(one: Outputs, discrete: tuple[str, ...] = ()) -> DensityGraph:
+def batched_graph(one: Outputs) -> DensityGraph:
     """Make the graph one of a whole population, where no part of it refuses."""
     if (reason := why_not_batched(one.outputs)) is not None:
-        return DensityGraph(one, None, reason, discrete)
+        return DensityGraph(one, None, reason)
     particles = pt.matrix("particles", dtype=one.joined.dtype)
     try:
         outputs = vectorize_graph(one.outputs, {one.joined: particles})
     except Exception as error:  # any Op of any library may refuse in its own way
-        return DensityGraph(one, None, f"a part of the model cannot be vectorised ({error})", discrete)
+        return DensityGraph(one, None, f"a part of the model cannot be vectorised ({error})")
     rows = particles.shape[0]
     outputs = [out if out.ndim else pt.broadcast_to(out, (rows,)) for out in outputs]
-    return DensityGraph(one, Outputs(particles, outputs), "", discrete)
+    return DensityGraph(one, Outputs(particles, outputs), "")
 
 
 def joined_graph(model, point, outputs: list, inputs: list) -> Outputs:

@@ -293,12 +293,10 @@ class Chains:
 
     Attributes
     ----------
-    n_steps, n_kept : int
-        Steps so far, and those of them whose states are in the pool.
-    n_hamiltonian : int
-        Steps by trajectories.
-    inflation : float
-        Steps that count for one independent draw, measured.
+    n_steps, n_hamiltonian : int
+        Steps so far, and those of them by trajectories.
+    acceptances : list of float
+        Mean probability of each step.
     """
 
     def __init__(self, pool, position, moves, beta, weigh, rng, slopes=None):
@@ -308,9 +306,9 @@ class Chains:
         self.log_reference, self.log_ratio = pool.log_reference[position], pool.log_ratio[position]
         self.density = moves.proposal.log_density(self.x)
         self.position = None  # in the pool, once states are kept
-        self.n_steps = self.n_kept = self.n_hamiltonian = 0
+        self.n_steps = self.n_hamiltonian = 0
         self.slope = np.full(self.x.shape, np.nan)  # gradients of the log target, where they are known
-        self.acceptances, self.states, self.inflation = [], [], 1.0
+        self.acceptances, self.states = [], []
         self.first_ranks = ranks(self.statistics())
 
     def statistics(self) -> np.ndarray:
@@ -325,7 +323,6 @@ class Chains:
         self.n_steps += 1
         self.n_hamiltonian += arm == HAMILTONIAN
         if self.position is not None:
-            self.n_kept += 1
             self.states.append(self.statistics())
 
     def move(self, arm: int) -> np.ndarray:
@@ -428,22 +425,21 @@ class Chains:
         if moves.tried[HAMILTONIAN] or moves.shares[HAMILTONIAN]:
             moves.adapt(share)
 
-    def measure(self) -> None:
-        """Say in the pool how many steps count for one independent draw."""
+    def measure(self) -> float:
+        """Steps that count for one independent draw; the pool is told."""
         states = np.array(self.states)  # (step, chain, statistic): of a few hundred chains
-        n = len(states)
-        if n < 3:
-            self.inflation = 2.0
-        else:
+        n, inflation = len(states), 2.0
+        if n >= 3:
             low, high = np.quantile(states, TAILS, axis=(0, 1))
             states = np.clip(states, low, high)
             between, total = n * states.mean(axis=0).var(axis=0, ddof=1), states.var(axis=(0, 1))
             times = between[total > 0] / total[total > 0]
-            self.inflation = float(max(1.0, np.quantile(times, CAUTIOUS))) if len(times) else 1.0
+            inflation = float(max(1.0, np.quantile(times, CAUTIOUS))) if len(times) else 1.0
             if n < 20:  # short chains cannot show a memory longer than themselves
-                self.inflation = max(self.inflation, min(n, 4))
+                inflation = max(inflation, min(n, 4))
         own = self.pool.source[self.first :] == self.source
-        self.pool.inflation[self.first :][own] = self.inflation
+        self.pool.inflation[self.first :][own] = inflation
+        return inflation
 
 
 def ranks(values) -> np.ndarray:

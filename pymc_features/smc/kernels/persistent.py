@@ -270,9 +270,9 @@ class PersistentSMC(PopulationKernel):
         chains.forget(of_trajectories)
         for _ in range(KEPT_STEPS if self.beta < 1.0 else LAST_STEPS):
             chains.step()
-        chains.measure()
+        self.steps_per_draw = chains.measure()
         self.pool.solve()
-        self.n_steps, self.steps_per_draw = chains.n_steps, chains.inflation
+        self.n_steps = chains.n_steps
         self.accept_rate = float(np.mean(chains.acceptances))
         self.hamiltonian_share = chains.n_hamiltonian / chains.n_steps
 

@@ -63,8 +63,11 @@ def climb(
         y, new_value, new_slope = line_search(density, x[rows], value[rows], slope[rows], direction)
         s, c = y - x[rows], slope[rows] - new_slope
         useful = (s * c).sum(axis=1) > 1e-10 * np.linalg.norm(s, axis=1) * np.linalg.norm(c, axis=1)
-        store(rows[useful], s[useful], c[useful], steps, changes, n_kept)
-        n_kept[rows[~useful]] = 0  # from a straight or hollow stretch, begin anew with the gradient
+        for history, new in ((steps, s), (changes, c)):  # the newest pair last
+            history[rows[useful], :-1] = history[rows[useful], 1:]
+            history[rows[useful], -1] = new[useful]
+        # from a straight or hollow stretch, begin anew with the gradient
+        n_kept[rows] = np.where(useful, np.minimum(n_kept[rows] + 1, MEMORY), 0)
         x[rows], value[rows], slope[rows] = y, new_value, new_slope
         going[rows] = (new_value - last[0, rows] > small_gain) & ~arrived(y)
         last[:, rows] = np.vstack([last[1:, rows], new_value[None]])
@@ -90,13 +93,6 @@ def ascent_direction(slope, steps, changes, n_kept):
         beta = inverse[:, i] * (changes[:, i] * q).sum(axis=1)
         q += (alphas[:, i] - beta)[:, None] * steps[:, i]
     return q
-
-
-def store(rows, s, c, steps, changes, n_kept):
-    """Put the newest pair last."""
-    for history, new in ((steps, s), (changes, c)):
-        history[rows] = np.concatenate([history[rows, 1:], new[:, None]], axis=1)
-    n_kept[rows] = np.minimum(n_kept[rows] + 1, steps.shape[1])
 
 
 def line_search(density, x, value, slope, direction):
