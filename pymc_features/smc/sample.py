@@ -115,7 +115,9 @@ def sample_smc(
     ('chain',)
     """
     check_run(draws, chains, cores, random_seed, settings.get("progressbar", True))
-    check_kernel(kernel)
+    if not (isinstance(kernel, type) and issubclass(kernel, SMC_KERNEL)):
+        advice = "Pass the class, for example PersistentSMC."
+        raise TypeError(message("kernel", "a kernel of `pm.sample_smc`", shown(kernel), advice))
     check_workers(executor)
     model = check_model(settings.get("model"))
     if settings.pop("return_inferencedata", True) is not True:
@@ -176,13 +178,6 @@ def check_run(draws, chains, cores, random_seed, progressbar) -> None:
         wanted = f"one integer, or one for each of the {n} chains"
         raise ValueError(message("random_seed", wanted, f"{len(random_seed)} integers"))
     check_flag(progressbar, "progressbar")
-
-
-def check_kernel(kernel) -> None:
-    """Refuse what is no class of kernels."""
-    if not (isinstance(kernel, type) and issubclass(kernel, SMC_KERNEL)):
-        advice = "Pass the class, for example PersistentSMC."
-        raise TypeError(message("kernel", "a kernel of `pm.sample_smc`", shown(kernel), advice))
 
 
 def is_parallel_by_itself(model) -> bool:
@@ -316,29 +311,24 @@ def all_draws_at_once() -> Iterator[None]:
             values = tempered_posterior[:, first : first + size].reshape(-1, *shape)
             draws.append((np.round(values) if v.dtype in discrete_types else values).astype(v.dtype))
             first += size
-        return filled_trace(functions[model], draws, chain, model)
+        found = functions[model](draws)
+        trace = NDArray(
+            name=model.name,
+            model=model,
+            fn=lambda *point: [x[0] for x in functions[model]([np.asarray(x)[None] for x in point]).values()],
+            var_shapes={name: x.shape[1:] for name, x in found.items()},
+            var_dtypes={name: x.dtype for name, x in found.items()},
+        )
+        trace.setup(len(draws[0]), chain)
+        trace.samples.update({name: np.ascontiguousarray(x) for name, x in found.items()})
+        trace.draw_idx = trace.draws
+        return trace
 
     pymc.smc.sampling._build_trace_from_kernel_state = build_trace
     try:
         yield
     finally:
         pymc.smc.sampling._build_trace_from_kernel_state = draw_by_draw
-
-
-def filled_trace(function, draws, chain, model) -> NDArray:
-    """A chain's trace of draws, arrays (draw, ...) in the order of `model.value_vars`."""
-    found = function(draws)
-    trace = NDArray(
-        name=model.name,
-        model=model,
-        fn=lambda *point: [x[0] for x in function([np.asarray(x)[None] for x in point]).values()],
-        var_shapes={name: x.shape[1:] for name, x in found.items()},
-        var_dtypes={name: x.dtype for name, x in found.items()},
-    )
-    trace.setup(len(draws[0]), chain)
-    trace.samples.update({name: np.ascontiguousarray(x) for name, x in found.items()})
-    trace.draw_idx = trace.draws
-    return trace
 
 
 LOOK_SECONDS = 1.0

@@ -23,12 +23,7 @@ from pymc_features._checks import (
 )
 from pymc_features.smc.density.evaluation import PopulationLogp, population_logp
 from pymc_features.smc.density.prior import prior_draws
-from pymc_features.smc.kernels.checkpoint import (
-    chain_journal,
-    evaluated,
-    model_fingerprint,
-    refuse_random,
-)
+from pymc_features.smc.kernels.checkpoint import chain_journal, evaluated, model_fingerprint
 
 
 def checked_start(start, variables) -> dict[str, np.ndarray]:
@@ -144,7 +139,11 @@ class PopulationKernel(SMC_KERNEL):
         self.checkpoint, self.journal = checkpoint, None
         if checkpoint is not None:
             self.fingerprint = model_fingerprint(model)
-            refuse_random(self.logp)
+            if self.logp.draws_random_numbers:
+                raise ValueError(
+                    "`checkpoint` must be left out for a model with random draws inside (`noise`), for they "
+                    "would not be the same again. Sample it without, or infer the noise by a likelihood."
+                )
         self._reset_state()
 
     def _reset_state(self):

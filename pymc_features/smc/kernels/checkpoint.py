@@ -144,15 +144,6 @@ def evaluated(journal: Journal | None, function, particles: np.ndarray, n_gradie
     return function(particles) if journal is None else journal.evaluate(function, particles, n_gradients)
 
 
-def refuse_random(logp):
-    """Refuse a log-probability with random draws inside: they would not be the same again."""
-    if logp.draws_random_numbers:
-        raise ValueError(
-            "`checkpoint` must be left out for a model with random draws inside (`noise`), for they "
-            "would not be the same again. Sample it without, or infer the noise by a likelihood."
-        )
-
-
 def chain_journal(folder, run: dict, rng: np.random.Generator) -> Journal:
     """The journal, in a folder that is made if absent, of the chain that begins with these random numbers.
 

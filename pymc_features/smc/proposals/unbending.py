@@ -233,7 +233,8 @@ class UnbendingMap:
         w = weights / n_points
         self.scores = NormalScores(np.zeros(x.shape[1], dtype=bool) if bounded is None else bounded)
         x, _ = self.scores.forward(x)
-        self.margins = fit_margins(x, w, n_points) if rotated else no_change(x.shape[1])
+        one, zero = np.ones(x.shape[1]), np.zeros(x.shape[1])
+        self.margins = fit_margins(x, w, n_points) if rotated else Margins(one, zero, zero, one)
         u, _ = self.margins.forward(x)
         self.mean = w @ u
         centred = u - self.mean
@@ -323,11 +324,6 @@ def ridge(terms, values, w, penalty):
     sizes = np.sqrt(np.diag(gram))[:, None] + 1e-12
     scaled = gram / (sizes * sizes.T) + penalty * np.eye(len(gram))
     return np.linalg.solve(scaled, weighted.T @ values / sizes) / sizes
-
-
-def no_change(d: int) -> Margins:
-    """Margins that leave all coordinates as they are."""
-    return Margins(np.ones(d), np.zeros(d), np.zeros(d), np.ones(d))
 
 
 def fit_margins(x, w, n_points) -> Margins:
