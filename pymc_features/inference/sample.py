@@ -10,6 +10,7 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 from pymc.util import RandomState
+from scipy.special import softmax
 
 from pymc_features._checks import check_choice, check_mapping, check_model, check_path, check_seed
 from pymc_features.exceptions import ChainsDisagreeWarning, NoSpreadError, SamplingWarning
@@ -381,9 +382,7 @@ def distance_to_modes(reference, flat):
     if not modes or flat is None:
         return None, np.nan
     rng = np.random.default_rng(2)
-    log_weights = np.array([mode.log_evidence for mode in modes])
-    weights = np.exp(log_weights - log_weights.max())
-    counts = rng.multinomial(N_GAUSSIAN, weights / weights.sum())
+    counts = rng.multinomial(N_GAUSSIAN, softmax([mode.log_evidence for mode in modes]))
     u = [
         mode.x + rng.standard_normal((n, len(mode.x))) @ mode.factor.T
         for mode, n in zip(modes, counts, strict=True)

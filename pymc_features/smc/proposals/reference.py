@@ -5,6 +5,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import softmax
 
 from pymc_features.smc.proposals.proposal import Mixture, StudentT, log_sum
 from pymc_features.smc.proposals.transport import Stretch, Transport, fit_transport
@@ -261,9 +262,7 @@ class Reference:
 
     def mode_shares(self) -> np.ndarray:
         """Share (k,) of each mode in the evidence of all, by Laplace's approximation."""
-        log_weights = np.array([mode.log_evidence for mode in self.modes])
-        weights = np.exp(log_weights - log_weights.max())
-        return weights / weights.sum()
+        return softmax([mode.log_evidence for mode in self.modes])
 
     def bent(self, density: Density, rng: np.random.Generator) -> "Reference":
         """Add maps that follow the posterior's bends, where its modes are no Gaussians.
