@@ -221,9 +221,9 @@ class PopulationLogp:
         return not self.why_no_gradient
 
     @property
-    def function(self):
-        """The compiled function of the values."""
-        return self.values.function
+    def nodes(self) -> list:
+        """Nodes of the compiled function of the values."""
+        return list(inner_nodes(self.values.function.maker.fgraph))
 
     @property
     def batched(self) -> bool:
@@ -231,27 +231,21 @@ class PopulationLogp:
         return self.values.batched
 
     @property
-    def batch(self) -> int:
-        """Particles in one call, at most."""
-        return self.values.batch
-
-    @property
     def last_error(self) -> str:
         """What the model raised last, or else a simulator function; empty if nothing did."""
-        ops = simulator_functions(inner_nodes(self.function.maker.fgraph))
+        ops = simulator_functions(self.nodes)
         raised = [f.raised for f in (self.values, self.slopes) if f is not None]
         return next(filter(None, [*raised, *(getattr(op.fn, "last_error", "") for op in ops)]), "")
 
     @property
     def draws_random_numbers(self) -> bool:
         """Whether two evaluations of the same particle may differ."""
-        return any(map(is_random, inner_nodes(self.function.maker.fgraph)))
+        return any(map(is_random, self.nodes))
 
     @property
     def is_expensive(self) -> bool:
         """Whether something in the model says that it is not to be evaluated more often than need be."""
-        nodes = inner_nodes(self.function.maker.fgraph)
-        return any(getattr(core_op(node), "expensive", False) for node in nodes)
+        return any(getattr(core_op(node), "expensive", False) for node in self.nodes)
 
     def spread_over(self, spread: Callable) -> "PopulationLogp":
         """Evaluate by `spread(logp, "values" or "slopes", particles)`."""
