@@ -13,8 +13,8 @@ from benchmarks.known import flat_draws, problem
 from benchmarks.known.answer import PROBABILITIES
 from benchmarks.samplers.run import evidence, of_search, total
 from benchmarks.tables import significant, table
-from pymc_features.smc.kernels import last_draws, persistent
-from pymc_features.smc.proposals import fitted, pool, reference
+from pymc_features.smc.kernels import persistent
+from pymc_features.smc.proposals import pool, reference, unbending
 
 TARGETS = (
     *("TN-4-wide", "funnel-10", "banana-10", "corner-10", "student-10", "schools_centred-10"),
@@ -41,18 +41,18 @@ def only_along_principal_axes(x, weights, rng, rotated=True, *args, **kwargs):
     return fit_unbent(x, weights, rng, True, *args, **kwargs) if rotated else without_map()
 
 
-fit_unbent = fitted.fit_unbent
+fit_unbent = unbending.fit_unbent
 entry = sys.modules[pmf.sample.__module__]
 
 # part -> (object, attribute, what stands there instead), any number of them
 PARTS = {
     "nothing": (),
     "trials": ((persistent.PersistentSMC, "pays_to_fit_again", lambda self, trials: False),),
-    "draws anew": ((last_draws, "HEAVY_K", np.inf),),
-    "second map": ((last_draws, "fit_twice_to", fitted.fit_to),),
-    "maps": ((fitted, "fit_unbent", without_map),),
-    "maps along principal axes": ((fitted, "fit_unbent", only_along_parameters),),
-    "maps along parameters": ((fitted, "fit_unbent", only_along_principal_axes),),
+    "draws anew": ((persistent, "HEAVY_K", np.inf),),
+    "second map": ((persistent, "fit_to", lambda *args, twice: unbending.fit_to(*args)),),
+    "maps": ((unbending, "fit_unbent", without_map),),
+    "maps along principal axes": ((unbending, "fit_unbent", only_along_parameters),),
+    "maps along parameters": ((unbending, "fit_unbent", only_along_principal_axes),),
     "bends of modes": ((reference.Reference, "bent", lambda self, *rest: self),),
     "trajectories": ((persistent.FittedMoves, "wants_trial", False), (persistent, "OF_TRAJECTORIES", 0.0)),
     "fits in place of chains": ((persistent.PersistentSMC, "fit_is_good", lambda self: False),),

@@ -19,9 +19,9 @@ import pymc_features as pmf
 from benchmarks.structures import N_MODES, frame
 from benchmarks.tables import significant, table
 from pymc_features.smc import open_workers, population_logp
+from pymc_features.smc import workers as spreading
 from pymc_features.smc.kernels.base import PopulationKernel
-from pymc_features.smc.workers import workers as spreading
-from pymc_features.smc.workers.workers import parts_of
+from pymc_features.smc.workers import parts_of
 
 WORKERS = (1, 2, 10, 100, 1000)
 UNIT, MANY, LARGE = 8, 64, 8192  # particles of a part; parts in flight; particles of a large part
@@ -86,13 +86,13 @@ def heavy():
 @contextmanager
 def cut_into(parts):
     """Let every population be spread, in given parts (first, end)."""
-    known = spreading.parts_of, spreading.Spread.some_are_ready
+    known = spreading.parts_of, spreading.Run.some_are_ready
     spreading.parts_of = parts
-    spreading.Spread.some_are_ready = lambda self, work: True
+    spreading.Run.some_are_ready = lambda self, work: True
     try:
         yield
     finally:
-        spreading.parts_of, spreading.Spread.some_are_ready = known
+        spreading.parts_of, spreading.Run.some_are_ready = known
 
 
 def equal_parts(size):
@@ -165,7 +165,7 @@ def gain(model, n, rounds):
 
 def populations(draws, chains=2):
     """Sizes of the populations of some real chains, and what these compute between two of them [s]."""
-    sizes, evaluate, spent = [], PopulationKernel.evaluated, 0.0
+    sizes, evaluate, spent = [], PopulationKernel.evaluate, 0.0
 
     def noted(kernel, particles):
         nonlocal spent
@@ -175,14 +175,14 @@ def populations(draws, chains=2):
         spent += time.thread_time() - start
         return result
 
-    PopulationKernel.evaluated = noted
+    PopulationKernel.evaluate = noted
     start = time.thread_time()
     try:
         for k in range(chains):
             sizes.append([])
             pmf.sample_smc(draws, model=cheap(), chains=1, cores=1, random_seed=k, progressbar=False)
     finally:
-        PopulationKernel.evaluated = evaluate
+        PopulationKernel.evaluate = evaluate
     return sizes, (time.thread_time() - start - spent) / sum(map(len, sizes))
 
 

@@ -21,7 +21,7 @@ from pymc_features.inference.sample import Search, journal_in, sample_from
 from pymc_features.likelihoods.declaration import warn_about_variance
 from pymc_features.likelihoods.mean_square import GammaFeatureRV, RequireDegrees
 from pymc_features.smc import check_run, open_workers
-from pymc_features.smc.proposals.mixture import equal_draws, pareto_smoothed
+from pymc_features.smc.proposals.pool import equal_draws, pareto_smoothed
 
 # mean square of standard deviations from the maximum that is far, and the share of draws that makes a warning
 FAR, MANY = 10.0, 0.25

@@ -27,7 +27,7 @@ from pymc_features.inference.parameters import Unconstrained
 from pymc_features.likelihoods.correlated import CorrelatedNormalRV
 from pymc_features.likelihoods.mean_square import FeatureRV
 from pymc_features.ops import frequencies_behind, measured_samples, noisy_base, response_step
-from pymc_features.smc.density.compilation import with_mode
+from pymc_features.smc.density.rows import with_mode
 
 MOST = 0.4  # share of the record in gaps of one sensor or another; of more the intervals become too narrow
 EDGE = 1e-9  # of the distance between bounds: as near to a bound as a climb gets

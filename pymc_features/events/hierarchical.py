@@ -41,9 +41,8 @@ from pymc_features.events.compare import Evidence, evidence_of, product
 from pymc_features.exceptions import SamplingWarning
 from pymc_features.inference.parameters import posterior_for
 from pymc_features.inference.sample import sample
-from pymc_features.smc.density.compilation import with_mode
-from pymc_features.smc.proposals.mixture import pareto_k
-from pymc_features.smc.proposals.pool import LARGEST_K
+from pymc_features.smc.density.rows import with_mode
+from pymc_features.smc.proposals.pool import LARGEST_K, pareto_k
 
 ROUNDS = 3  # of sampling events again
 OF_SAMPLERS = ("cores", "executor", "progressbar", "compile_kwargs", "stage_draws", "threshold")

@@ -43,9 +43,9 @@ from pymc_features.inference.sample import sample, summarise
 from pymc_features.smc import PersistentSMC, open_workers, population_logp, sample_smc
 from pymc_features.smc.kernels.base import KernelOptions
 from pymc_features.smc.kernels.checkpoint import model_fingerprint
-from pymc_features.smc.proposals.fitted import Unbent, fit_unbent, held_out_scores
-from pymc_features.smc.proposals.mixture import equal_draws
+from pymc_features.smc.proposals.pool import equal_draws
 from pymc_features.smc.proposals.proposal import StudentMixture, StudentT, distinct, fit_mixture, moments
+from pymc_features.smc.proposals.unbending import Unbent, fit_unbent, held_out_scores
 from pymc_features.storage import PartStore
 
 OWN_SHARE = 0.2  # of the model's own prior among the draws; it does not change the posterior

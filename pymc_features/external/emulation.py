@@ -23,6 +23,7 @@ from pymc_features.exceptions import SamplingWarning
 from pymc_features.external.emulator import Coordinates, Emulator
 from pymc_features.external.replacement import Part, replaced
 from pymc_features.external.workers.calls import one_thread_each
+from pymc_features.inference.compiled import unit_cube
 from pymc_features.inference.parameters import (
     Unconstrained,
     check_continuous,
@@ -30,7 +31,6 @@ from pymc_features.inference.parameters import (
     to_unconstrained,
 )
 from pymc_features.inference.sample import sample
-from pymc_features.inference.unit_cube import unit_cube
 from pymc_features.progress import PartProgress
 from pymc_features.smc import check_run, population_logp, prior_points, sample_smc
 
@@ -441,12 +441,12 @@ def first_points(model, space, n, rng):
             warnings.filterwarnings(
                 "ignore", "RandomVariables .* were found in the derived graph", UserWarning
             )
-            cube = unit_cube(model, space, {})
+            to_theta, _ = unit_cube(model, space, {})
     except ValueError:
         return prior_points(model, n, rng)
     sobol = stats.qmc.Sobol(d, rng=rng)
     u = sobol.random_base2(max(1, int(np.ceil(np.log2(n)))))[:n]
-    [theta] = cube.to_theta(np.clip(u, 1e-6, 1.0 - 1e-6))
+    [theta] = to_theta(np.clip(u, 1e-6, 1.0 - 1e-6))
     return theta
 
 

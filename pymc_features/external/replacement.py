@@ -17,7 +17,6 @@ from pymc_features.external.emulator import PREDICTED_AT_ONCE, Emulator
 from pymc_features.external.simulator import ExternalSimulator, unflat
 from pymc_features.fingerprint import fingerprint
 from pymc_features.inference.parameters import Unconstrained
-from pymc_features.inference.unit_cube import parts_of
 from pymc_features.ops import ExternalResponse
 from pymc_features.ops.declared import values_at_start
 from pymc_features.smc import Outputs, RowFunction, batched_graph
@@ -183,7 +182,7 @@ def arguments(model, stand_in) -> Callable:
     }
     space, theta = Unconstrained(model), pt.vector("theta")
     tensors = model.replace_rvs_by_values(node.inputs)
-    parts = parts_of(theta, space)
+    parts = space.split(theta)
     values = {v: pt.specify_shape(parts[v.name].astype(v.dtype), v.type.shape) for v in model.value_vars}
     inputs = graph_replace(tensors, values, strict=False)
     shapes = [np.shape(value) for value in values_at_start(node.inputs, model)]

@@ -5,12 +5,79 @@ from typing import NamedTuple
 import cloudpickle
 import numpy as np
 import pymc as pm
+import pytensor.tensor as pt
 from numpy.typing import ArrayLike
+from pymc.logprob.utils import local_remove_check_parameter
+from pytensor.graph.basic import Variable
+from pytensor.graph.fg import FunctionGraph
+from pytensor.graph.replace import graph_replace
+from pytensor.graph.rewriting.basic import dfs_rewriter
 
 from pymc_features._checks import as_numbers, check_flag, check_mapping, check_model, message
 from pymc_features.inference.parameters import Unconstrained, check_continuous, coordinate_names
-from pymc_features.inference.unit_cube import UnitCube, unit_cube
-from pymc_features.smc import population_logp
+from pymc_features.smc import Outputs, RowFunction, batched_graph, population_logp
+
+
+def unit_cube(model: pm.Model, space: Unconstrained, compile_kwargs: dict) -> tuple[RowFunction, RowFunction]:
+    """Rosenblatt's transform of the prior: each parameter by its distribution given those it depends on.
+
+    Compiled functions of rows (n, d), from the unit cube to the unconstrained scale, and back.
+
+    Raises
+    ------
+    ValueError
+        If PyMC cannot invert the distribution function of a prior, or entries of a prior are dependent.
+    """
+    refused = [rv for rv in model.free_RVs if not has_inverse(rv, model.rvs_to_transforms[rv])]
+    if refused:
+        got = ", ".join(f"{rv.name} ({rv.owner.op.name})" for rv in refused)
+        advice = "Write the prior in parameters with independent priors, for example standard normal ones."
+        expected = "one whose priors have inverse distribution functions, for the unit cube"
+        raise ValueError(message("model", expected, got, advice))
+    graphs = graph_to_theta(model, space), graph_from_theta(model, space)
+    return tuple(compiled(*graph, compile_kwargs) for graph in graphs)
+
+
+def has_inverse(rv, transform) -> bool:
+    """Whether PyMC knows the distribution function of each entry of a random variable, and its inverse."""
+    if getattr(rv.owner.op, "ndim_supp", 0) or getattr(transform, "ndim_supp", 0):
+        return False
+    try:
+        pm.icdf(rv, rv), pm.logcdf(rv, rv)
+    except (NotImplementedError, ValueError):
+        return False
+    return True
+
+
+def graph_to_theta(model, space) -> tuple[Variable, Variable]:
+    """A vector u (d,) and theta (d,)."""
+    u = pt.vector("u")
+    parts, own, theta = space.split(u), {}, []
+    for rv in model.free_RVs:  # parents come before those that depend on them
+        x = pm.icdf(rv, parts[model.rvs_to_values[rv].name])
+        transform = model.rvs_to_transforms[rv]
+        moved = x if transform is None else transform.forward(x, *rv.owner.inputs)
+        own[rv], moved = graph_replace([x, moved], own, strict=False) if own else (x, moved)
+        theta.append(moved.ravel())
+    return u, pt.concatenate(theta)
+
+
+def graph_from_theta(model, space) -> tuple[Variable, Variable]:
+    """A vector theta (d,) and u (d,)."""
+    theta = pt.vector("theta")
+    parts = space.split(theta)
+    below = model.replace_rvs_by_values([pt.exp(pm.logcdf(rv, rv)).ravel() for rv in model.free_RVs])
+    values = {model.rvs_to_values[rv]: parts[model.rvs_to_values[rv].name] for rv in model.free_RVs}
+    return theta, pt.concatenate(graph_replace(below, values, strict=False))
+
+
+def compiled(vector: Variable, result: Variable, compile_kwargs: dict) -> RowFunction:
+    """The function of rows; a row with invalid parameters does not raise."""
+    graph = FunctionGraph([vector], [result], clone=True, copy_inputs=False)
+    dfs_rewriter(local_remove_check_parameter).rewrite(graph)
+    [vector], outputs = graph.inputs, list(graph.outputs)
+    return RowFunction(batched_graph(Outputs(vector, outputs)), compile_kwargs)
+
 
 LOWEST = -1e300  # stands for -inf, which nested samplers refuse
 SMALLEST = 2.0**-53  # the ends of the cube lie at infinity
@@ -52,7 +119,7 @@ class CompiledLogp:
         self.names = coordinate_names(model, self._space)
         self.n_dim = len(self.names)
         self._free = [rv.name for rv in model.free_RVs]
-        self._cube: UnitCube | str
+        self._cube: tuple[RowFunction, RowFunction] | str
         try:
             self._cube = unit_cube(model, self._space, compile_kwargs)
         except ValueError as error:
@@ -101,13 +168,13 @@ class CompiledLogp:
         ValueError
             If PyMC cannot invert the distribution function of a prior.
         """
-        return self._through_cube("to_theta", u, "u")
+        return self._through_cube(0, u, "u")
 
     def to_unit_cube(self, theta: ArrayLike) -> np.ndarray:
         """The inverse of `from_unit_cube`."""
-        return self._through_cube("from_theta", theta, "theta")
+        return self._through_cube(1, theta, "theta")
 
-    def _through_cube(self, way: str, points, name: str):
+    def _through_cube(self, way: int, points, name: str):
         """Rows through one of the functions of the unit cube."""
         if isinstance(self._cube, str):
             raise ValueError(self._cube)
@@ -116,7 +183,7 @@ class CompiledLogp:
             if np.any((points < 0.0) | (points > 1.0)):
                 raise ValueError(message("u", "between 0 and 1", f"{points.min():g} to {points.max():g}"))
             points = np.clip(points, SMALLEST, 1.0 - SMALLEST)
-        [moved] = getattr(self._cube, way)(points)
+        [moved] = self._cube[way](points)
         return moved[0] if alone else moved
 
     def __getstate__(self):

@@ -27,13 +27,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features.smc.proposals.arms import GRADIENT_COST
-from pymc_features.smc.proposals.ascent import climb
-from pymc_features.smc.proposals.fitted import heavy_tailed
-from pymc_features.smc.proposals.mixture import log_sum, pareto_k, pareto_smoothed
-from pymc_features.smc.proposals.pool import LARGEST_K
-from pymc_features.smc.proposals.proposal import Mixture, StudentT, distinct, fit_mixture
-from pymc_features.smc.proposals.reference import WIDEST, Mode, Reference, laplace_mode, nearest
+from pymc_features.smc.kernels.chains import GRADIENT_COST
+from pymc_features.smc.proposals.pool import LARGEST_K, log_mean, pareto_k, pareto_smoothed
+from pymc_features.smc.proposals.proposal import Mixture, StudentT, distinct, fit_mixture, log_sum
+from pymc_features.smc.proposals.reference import (
+    WIDEST,
+    Density,
+    Mode,
+    Reference,
+    climb,
+    in_units,
+    laplace_mode,
+    nearest,
+)
+from pymc_features.smc.proposals.unbending import heavy_tailed
 
 WIDTHS, WIDE_SHARES = (1.05, 1.6), (0.85, 0.15)  # of the fit to the run's draws, over it, and their shares
 HEAVIEST = 16  # draws of the fit from which climbs start, at most, and no more than from the prior
@@ -55,22 +62,6 @@ OF_A_CLIMB = 75  # evaluations, on structural posteriors with wide priors
 FULL_RUN = 2000  # draws of a run that is checked in full
 OF_RUN, OF_DEAR_RUN = 0.4, 0.05  # evaluations of the check over those of the run, at most
 OF_A_SECOND = 1e8  # observed numbers that a population of linear structures compares in a second
-
-
-class Density(NamedTuple):
-    """Log posterior density of a model on the unconstrained scale.
-
-    Attributes
-    ----------
-    values, gradients : callable
-        Log-density (n,) at points (n, d); that, and its gradient (n, d). `gradients` is None without one.
-    draw_prior : callable
-        Draws (n, d) from the prior for a number n.
-    """
-
-    values: Callable
-    gradients: Callable | None
-    draw_prior: Callable
 
 
 class Effort(NamedTuple):
@@ -218,12 +209,8 @@ def cross_check(
             centre, scale = draws.mean(axis=0), draws.std(axis=0)
     else:
         centre, scale = reference.centre, reference.scale
-    slopes = density.gradients or by_differences(density.values, scale)
-
-    def scaled(u):
-        value, slope = slopes(centre + scale * u)
-        return value, slope * scale
-
+    slopes = density.gradients if density.has_gradient else by_differences(density.values, scale)
+    scaled = in_units(slopes, centre, scale)
     distinct_draws, counts = distinct(draws)
     plain = fit_mixture(distinct_draws, counts.astype(float), rng)
     fit = Mixture([heavy_tailed(plain, width) for width in WIDTHS], np.array(WIDE_SHARES))
@@ -269,7 +256,7 @@ def cross_check(
     counts, x = np.array([len(p) for p in points]), np.concatenate(points)
     terms = np.array([source.log_density(x) for source in sources])
     log_weights = np.concatenate(values) - log_sum(terms + np.log(counts / counts.sum())[:, None])
-    rise, error = evidence(log_weights)
+    rise, error = log_mean(log_weights)
     limit = max(LEAST_RISE, STANDARD_ERRORS * np.hypot(error, standard_error))
     weights, light_tails = np.exp(log_weights - log_weights.max()), tails_are_light(log_weights, x, draws)
     densest = np.where((terms[1:] > terms[0] + MUCH_DENSER).any(axis=0), terms.argmax(axis=0), 0)
@@ -299,13 +286,6 @@ def was_found_by_chance(reference: Reference, ends) -> bool:
     counts = np.bincount(np.argmax(logs, axis=0), minlength=len(logs))
     counts += [mode.n_climbs for mode in reference.modes]
     return bool(((reference.mode_shares() > HEAVY) & (counts < FEW_CLIMBS * counts.sum())).any())
-
-
-def evidence(log_weights) -> tuple[float, float]:
-    """Log mean of weights (n,), and its standard error; some weight is positive."""
-    weights = np.exp(log_weights - log_weights.max())
-    mean = weights.mean()
-    return log_weights.max() + np.log(mean), weights.std() / mean / np.sqrt(len(weights))
 
 
 def tails_are_light(log_weights, x, draws) -> bool | None:

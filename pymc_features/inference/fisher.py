@@ -16,7 +16,7 @@ from pymc_features.inference.parameters import check_continuous, entry_names, in
 from pymc_features.likelihoods.correlated import CorrelatedNormalRV
 from pymc_features.likelihoods.mean_square import FeatureRV
 from pymc_features.ops import measured_samples
-from pymc_features.smc.density.compilation import with_mode
+from pymc_features.smc.density.rows import with_mode
 
 
 @singledispatch

@@ -18,7 +18,8 @@ from pymc_features.inference.parameters import (
     initial_values,
 )
 from pymc_features.smc import find_reference, likelihood_kinds, population_logp, prior_points
-from pymc_features.smc.proposals.ascent import climb, curvature
+from pymc_features.smc.proposals.pool import QUANTILES, log_mean
+from pymc_features.smc.proposals.reference import Density, climb, curvature, in_units
 
 MAX_NEWTON, MAX_HALVINGS = 30, 30
 NO_GAIN = 1e-12  # in the log-density, of the next step: at a mode
@@ -43,12 +44,7 @@ def gaussian_at(density: Callable, x: np.ndarray, scale: np.ndarray):
         The mode, its log-density, and minus the Hessian there; None if there is no maximum with a positive
         definite curvature.
     """
-
-    def scaled(points):
-        values, slopes = density(scale * points)
-        return values, slopes * scale
-
-    u = x / scale
+    scaled, u = in_units(density, 0.0, scale), x / scale
     value, slope = (part[0] for part in scaled(u[None]))
     for _ in range(MAX_NEWTON):
         hessian = curvature(scaled, u)
@@ -91,7 +87,6 @@ def distinct(modes: list) -> list:
 
 LOW_EFFICIENCY = 0.2
 LARGE_ERROR = 0.2  # of a quantile, over the 5-95 % width
-QUANTILES = (0.05, 0.5, 0.95)
 
 
 def laplace(
@@ -162,14 +157,12 @@ def laplace(
     model = check_model(model)
     check_continuous(model, "laplace()")
     if start is not None:
-        start = initial_values(model, start, "start")
+        values = initial_values(model, start, "start")
+        start = forward_transform(model)(*(values[rv.name].astype(rv.dtype) for rv in model.free_RVs))
     space = Unconstrained(model)
     logp = population_logp(model, model.initial_point(), compile_kwargs)
     logp.compile_gradient()
-    if start is None:
-        found = modes_from_prior(model, logp, draws, rng)
-    else:
-        found = modes_from(logp, starting_point(model, start))
+    found = modes_from(Density(logp, lambda n: prior_points(model, n, rng)), start, draws)
     if not found:
         raise ValueError(
             "the posterior must have a maximum with positive curvature, found none from "
@@ -184,42 +177,15 @@ def laplace(
     return tree(model, space, particles, found, evidences, prior + likelihood - log_density)
 
 
-def density_of(logp):
-    """The function of points (n, d) that gives the log-posterior density (n,) and its gradient (n, d)."""
-
-    def density(x):
-        prior, likelihood, _, *slopes = logp.gradient(x)
-        return prior + likelihood, slopes[0] + slopes[1]
-
-    return density
-
-
-def modes_from_prior(model, logp, effort, rng):
-    """Modes (x, value, curvature) that climbs from draws of the prior lead to, the highest first."""
-    density = density_of(logp)
-    reference = find_reference(
-        lambda x: np.sum(logp(x)[:2], axis=0),
-        density,
-        lambda n: prior_points(model, n, rng),
-        effort,
-    )
-    if reference is None:
-        return []
-    ends, scale = reference.peaks, reference.scale
-    return distinct([mode for x in ends if (mode := gaussian_at(density, x, scale)) is not None])
-
-
-def modes_from(logp, x):
-    """The mode (x, value, curvature) that a climb from a point (d,) leads to, if it is one, as a list."""
-    density = density_of(logp)
-    ends, _ = climb(density, x[None], lambda x: np.zeros(len(x), dtype=bool))
-    mode = gaussian_at(density, ends[0], np.ones(len(x)))
-    return [] if mode is None else [mode]
-
-
-def starting_point(model, start):
-    """The flat point (d,) of values of all free parameters on their own scale."""
-    return forward_transform(model)(*(start[rv.name].astype(rv.dtype) for rv in model.free_RVs))
+def modes_from(density: Density, start, effort) -> list:
+    """Modes (x, value, curvature), the highest first, that climbs lead to, from `start` (d,) or the prior."""
+    if start is None:
+        reference = find_reference(density, effort)
+        ends, scale = ([], 1.0) if reference is None else (reference.peaks, reference.scale)
+    else:
+        ends, _ = climb(density.gradients, start[None], lambda x: np.zeros(len(x), dtype=bool))
+        scale = np.ones(len(start))
+    return distinct([mode for x in ends if (mode := gaussian_at(density.gradients, x, scale)) is not None])
 
 
 def draw_mixture(modes, evidences, n, rng):
@@ -251,21 +217,22 @@ def tree(model, space, particles, modes, evidences, log_ratios):
     n = len(ratios)
     efficiency = float(ratios.sum() ** 2 / (ratios**2).sum() / n)
     values = space.variables(particles)
-    worst, error = largest_error({rv.name: values[rv.name] for rv in model.free_RVs}, ratios)
-    if efficiency < LOW_EFFICIENCY or error > LARGE_ERROR:
+    log_z, error = log_mean(log_ratios)
+    worst, largest = largest_error({rv.name: values[rv.name] for rv in model.free_RVs}, ratios)
+    if efficiency < LOW_EFFICIENCY or largest > LARGE_ERROR:
         warnings.warn(
             f"Laplace's approximation is poor here: its draws are worth {100 * efficiency:.2g} % of as many "
-            f"from the posterior, and a quantile of {worst} is off by {100 * error:.0f} % of the 5-95 % "
+            f"from the posterior, and a quantile of {worst} is off by {100 * largest:.0f} % of the 5-95 % "
             "width. Sample with sample().",
             LaplaceWarning,
             stacklevel=3,
         )
     stats = {
         "log_marginal_likelihood": [np.logaddexp.reduce(evidences)],
-        "log_marginal_likelihood_is": [log_ratios.max() + np.log(ratios.mean())],
-        "log_marginal_likelihood_is_se": [ratios.std() / ratios.mean() / np.sqrt(n)],
+        "log_marginal_likelihood_is": [log_z],
+        "log_marginal_likelihood_is_se": [error],
         "efficiency": [efficiency],
-        "largest_error": [error],
+        "largest_error": [largest],
     }
     result = az.from_dict(
         {"posterior": {k: v[None] for k, v in values.items()}}, coords=coords, dims=model.named_vars_to_dims

@@ -14,7 +14,7 @@ from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 from pymc_features._checks import check_integer, check_keywords, check_mapping, check_model, check_seed, shown
 from pymc_features.exceptions import ChainsDisagreeWarning
 from pymc_features.inference.parameters import check_continuous, posterior_for, some_draws
-from pymc_features.inference.sample import sample
+from pymc_features.inference.sample import AGREEMENT, sample
 from pymc_features.smc import processors
 
 NUTS_SAMPLERS = ("pymc", "nutpie", "numpyro", "blackjax")
@@ -22,7 +22,6 @@ NUTS_SAMPLERS = ("pymc", "nutpie", "numpyro", "blackjax")
 OURS = {"draws", "tune", "chains", "model", "nuts_sampler", "random_seed", "kwargs"}
 OURS |= {"initvals", "compute_convergence_checks", "return_inferencedata"}
 OF_PYMC = [*(name for name in inspect.signature(pm.sample).parameters if name not in OURS), "target_accept"]
-AGREEMENT = 1.01  # largest R-hat of chains that agree
 N_PARTICLES = 500  # draws of `sample` to start from
 
 

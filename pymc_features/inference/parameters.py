@@ -1,7 +1,6 @@
 """Free parameters of a model: their values, names, and the way to the unconstrained space and back."""
 
 from collections.abc import Callable
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pytensor.tensor as pt
@@ -12,6 +11,7 @@ from pymc.vartypes import discrete_types
 from pytensor.graph.replace import graph_replace
 
 from pymc_features._checks import as_numbers, check_finite, check_group, check_mapping, message
+from pymc_features.smc.density.prior import kept_for
 from pymc_features.smc.density.rows import ONE_CALL
 
 SAME_MODEL = "Pass what `sample` returned for the same model."
@@ -85,14 +85,11 @@ def value_of(rv, value, argument: str) -> np.ndarray:
     return np.array(value)
 
 
-_FORWARD: WeakKeyDictionary = WeakKeyDictionary()  # what `forward_transform` has compiled, by model
-
-
 def forward_transform(model) -> Callable:
     """Compiled function of the free parameters, to a flat point (d,) on the unconstrained scale."""
     rvs = model.free_RVs
-    known, function = _FORWARD.get(model, ((), None))
-    if known != tuple(map(id, rvs)):
+
+    def make():
         inputs = [rv.type() for rv in rvs]
         transforms = [model.rvs_to_transforms[rv] for rv in rvs]
         outputs = [
@@ -101,9 +98,9 @@ def forward_transform(model) -> Callable:
         ]
         outputs = graph_replace(outputs, dict(zip(rvs, inputs, strict=True)), strict=False)
         flat = pt.concatenate([x.ravel() for x in outputs])
-        function = compile_function(inputs, flat, mode="FAST_COMPILE", on_unused_input="ignore")
-        _FORWARD[model] = tuple(map(id, rvs)), function
-    return function
+        return compile_function(inputs, flat, mode="FAST_COMPILE", on_unused_input="ignore")
+
+    return kept_for(model, "forward transform", tuple(map(id, rvs)), make)
 
 
 def to_unconstrained(model, posterior) -> np.ndarray:
@@ -140,12 +137,12 @@ class Unconstrained:
             model.replace_rvs_by_values(wanted), mode="FAST_COMPILE", on_unused_input="ignore"
         )
 
-    def split(self, x) -> dict[str, np.ndarray]:
-        """Values of the value variables."""
+    def split(self, x) -> dict:
+        """Values of the value variables in a flat point, an array or a vector of PyTensor's."""
         values, first = {}, 0
         for name, shape in self.shapes.items():
             size = int(np.prod(shape, dtype=int))
-            values[name] = np.reshape(x[first : first + size], shape)
+            values[name] = x[first : first + size].reshape(shape)
             first += size
         return values
 

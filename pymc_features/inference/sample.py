@@ -10,13 +10,13 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 from pymc.util import RandomState
+from scipy.special import softmax
 
 from pymc_features._checks import check_choice, check_mapping, check_model, check_path, check_seed
-from pymc_features.exceptions import NoSpreadError, SamplingWarning
+from pymc_features.exceptions import ChainsDisagreeWarning, NoSpreadError, SamplingWarning
 from pymc_features.external.workers.calls import one_thread_each
-from pymc_features.inference.beside import closeness, distance_to_modes, undetermined
-from pymc_features.inference.cross_check import Density, affordable, cross_check
-from pymc_features.inference.parameters import Unconstrained, coordinate_names, some_draws
+from pymc_features.inference.cross_check import affordable, cross_check
+from pymc_features.inference.parameters import Unconstrained, coordinate_names, some_draws, to_unconstrained
 from pymc_features.smc import (
     PersistentSMC,
     Reference,
@@ -29,9 +29,10 @@ from pymc_features.smc import (
     processors,
     sample_smc,
 )
+from pymc_features.smc.kernels.chains import GRADIENT_COST
 from pymc_features.smc.kernels.checkpoint import Journal, model_fingerprint, remembered
-from pymc_features.smc.proposals.arms import GRADIENT_COST
-from pymc_features.smc.proposals.pool import LARGEST_K, LARGEST_SHARE
+from pymc_features.smc.proposals.pool import LARGEST_K, LARGEST_SHARE, QUANTILES
+from pymc_features.smc.proposals.reference import Density
 
 AGREEMENT = 1.01  # largest R-hat of runs that agree
 # modes, and the share of climbs that each end alone, above which there are others that none has found
@@ -200,34 +201,6 @@ class Search(NamedTuple):
     no_gradient: str
 
 
-class Evaluations:
-    """Log posterior density of populations, counted; a journal, if there is one, remembers each.
-
-    Parameters
-    ----------
-    logp : PopulationLogp
-    journal : Journal, optional
-    """
-
-    def __init__(self, logp, journal=None):
-        self.logp, self.journal = logp, journal
-        self.n_values = self.n_gradients = 0
-
-    def values(self, x):
-        """Log-density (n,) at points (n, d)."""
-        self.n_values += len(x)
-        prior, likelihood, _ = self.journal.evaluate(self.logp, x) if self.journal else self.logp(x)
-        return prior + likelihood
-
-    def gradients(self, x):
-        """Log-density (n,) at points (n, d), and its gradient (n, d)."""
-        self.n_gradients += len(x)
-        function = self.logp.gradient
-        parts = self.journal.evaluate(function, x, 2) if self.journal else function(x)
-        prior, likelihood, _, *slopes = parts
-        return prior + likelihood, np.reshape(slopes, (2, *x.shape)).sum(axis=0)
-
-
 def journal_in(checkpoint, name: str, model) -> Journal | None:
     """Record of the evaluations of a part of a run, in the folder of a checkpoint; None without one."""
     if checkpoint is None:
@@ -241,12 +214,10 @@ def search(model, logp, draws, rng, journal) -> Search:
     if not logp.has_gradient:
         return Search(None, 0, 0, logp.why_no_gradient)
     logp.compile_gradient()
-    density = Evaluations(logp, journal)
-    reference = find_reference(
-        density.values, density.gradients, lambda n: prior_points(model, n, rng), draws // 2
-    )
+    density = Density(logp, lambda n: prior_points(model, n, rng), journal)
+    reference = find_reference(density, draws // 2)
     if reference is not None:
-        reference = reference.bent(density.values, density.gradients, rng)
+        reference = reference.bent(density, rng)
     if journal:
         journal.close()
     return Search(reference, density.n_values, density.n_gradients, "")
@@ -265,9 +236,7 @@ def cross_checked(idata, found, model, space, logp, thorough, rng, settings) -> 
         idata["sample_stats"].attrs["check"] = f"not done: {why_not}"
         return idata
     journal = journal_in(checkpoint, "check", model)
-    density = Evaluations(logp, journal)
-    gradients = density.gradients if logp.has_gradient else None
-    source = Density(density.values, gradients, lambda n: prior_points(model, n, rng))
+    density = Density(logp, lambda n: prior_points(model, n, rng), journal)
     n_data = sum(value.size.eval() for value in map(model.rvs_to_values.get, model.observed_RVs))
     n_differences = 0 if logp.has_gradient else len(space.join(space.point)) + 1
     rare = False
@@ -279,7 +248,7 @@ def cross_checked(idata, found, model, space, logp, thorough, rng, settings) -> 
         dear = logp.is_expensive or not logp.batched
         effort = affordable(thorough, size, spent, n_data, dear, n_differences)
         of_run = stats.attrs["log_evidence"], stats.attrs["log_evidence_se"]
-        check = cross_check(source, draws, *of_run, effort, rng, found.reference)
+        check = cross_check(density, draws, *of_run, effort, rng, found.reference)
         rare |= check.rare
         if n_repeats == MOST_REPEATS or not check.missed:
             break
@@ -373,3 +342,106 @@ def compared_draws(model, posterior):
     if any(not rv.dtype.startswith("float") for rv in model.free_RVs):
         return None
     return some_draws(model, posterior, N_POSTERIOR)
+
+
+N_PRIOR = 500  # prior draws that say what the data have added
+UNDETERMINED = 0.7  # share of its prior variance that such a direction keeps
+LOADING = 0.3  # of a parameter in a direction, beside the largest, to be named
+N_GAUSSIAN = 20_000  # draws from the Gaussians at the modes; they cost no evaluation
+CLOSE, LEAST_EFFICIENCY = 0.1, 0.4  # error of quantiles and share of draws, of a posterior near its Gaussians
+
+
+def undetermined(model, flat, names) -> list[str]:
+    """Directions in which draws (n, d) are nearly as wide as the prior, on the sampled scale."""
+    prior = prior_points(model, N_PRIOR, np.random.default_rng(1))
+    scale = prior.std(axis=0)
+    if not (np.isfinite(scale).all() and (scale > 0).all()):
+        return []
+    # coordinates in which the prior is a unit sphere: variances beside one
+    factor = np.linalg.cholesky(np.cov(prior / scale, rowvar=False).reshape(flat.shape[1], -1))
+    shares, axes = np.linalg.eigh(np.atleast_2d(np.cov(np.linalg.solve(factor, (flat / scale).T))))
+    found = []
+    for share, axis in zip(shares[::-1], axes.T[::-1], strict=True):
+        if share < UNDETERMINED:
+            break
+        loading = np.abs(axis)
+        found.append(" with ".join(names[i] for i in np.flatnonzero(loading > LOADING * loading.max())))
+    return list(dict.fromkeys(found))
+
+
+def distance_to_modes(reference, flat):
+    """How far the quantiles of Gaussians at the modes are from those of draws (n, d), on the sampled scale.
+
+    Returns
+    -------
+    worst, error
+        The coordinate that is furthest off, and by how much, over the 5-95 % width of its draws; None and NaN
+        without modes.
+    """
+    modes = [] if reference is None else [mode for mode in reference.modes if mode.is_maximum]
+    if not modes or flat is None:
+        return None, np.nan
+    rng = np.random.default_rng(2)
+    counts = rng.multinomial(N_GAUSSIAN, softmax([mode.log_evidence for mode in modes]))
+    u = [
+        mode.x + rng.standard_normal((n, len(mode.x))) @ mode.factor.T
+        for mode, n in zip(modes, counts, strict=True)
+    ]
+    gaussian = np.quantile(reference.centre + reference.scale * np.concatenate(u), QUANTILES, axis=0)
+    sampled = np.quantile(flat, QUANTILES, axis=0)
+    errors = np.abs(gaussian - sampled).max(axis=0) / (sampled[-1] - sampled[0])
+    worst = int(errors.argmax())
+    return worst, float(errors[worst])
+
+
+def closeness(name, error, efficiency) -> str:
+    """A sentence on the quantiles of Gaussians at the modes."""
+    close = error < CLOSE and efficiency > LEAST_EFFICIENCY
+    return (
+        f"{'yes' if close else 'no'}: quantiles of Gaussians at the modes are off by at most "
+        f"{100 * error:.0f} % of the 5-95 % width ({name})"
+    )
+
+
+FAR = 20.0  # below the best chain, in logarithms: such a mode has a weight of 2e-9
+N_DRAWS = 200  # of each chain, to judge it by
+MANY = 0.5  # share of lost chains above which the best may be lost, too
+
+
+def without_lost_chains(idata: xr.DataTree, model) -> xr.DataTree:
+    """A result without the chains that are far below another, and a warning that names them.
+
+    A chain is far below another if both its mean log posterior and the log mass of its mode are lower by more
+    than 20. The log mass is the mean log posterior plus the entropy of independent Gaussians with the
+    variances of the draws, on the sampled scale; so a mode is kept that is low but wide.
+    """
+    posterior = idata["posterior"].to_dataset()
+    names = posterior["chain"].values
+    if len(names) < 2:
+        return idata
+    every = max(1, posterior.sizes["draw"] // N_DRAWS)
+    points = to_unconstrained(model, posterior.isel(draw=slice(None, None, every)))
+    logp = population_logp(model, model.initial_point(), {})
+    with np.errstate(divide="ignore", invalid="ignore"):
+        height = np.array([np.mean(prior + likelihood) for prior, likelihood, _ in map(logp, points)])
+        mass = height + 0.5 * np.log(points.var(axis=1)).sum(axis=1)
+        below = np.nanmax(np.fmin(height - height[:, None], mass - mass[:, None]), axis=1)
+    lost = below > FAR
+    if not lost.any():
+        return idata
+    told = ", ".join(f"chain {names[i]} by {below[i]:.0f}" for i in np.flatnonzero(lost))
+    few = f" Rely on none, for {lost.sum()} of {lost.size} went astray." if lost.mean() > MANY else ""
+    warnings.warn(
+        "chains are left out that ended in modes without weight, their log posterior being below that of "
+        f"chain {names[height.argmax()]}: {told}.{few} Increase `draws`, or narrow the priors, until "
+        "all chains find the best mode.",
+        ChainsDisagreeWarning,
+        stacklevel=2,
+    )
+    kept = idata.copy()
+    for group in {"posterior", "sample_stats"} & set(idata.children):
+        dataset = idata[group].to_dataset().sel(chain=names[~lost])
+        if "ess" in dataset.attrs:  # a sum over chains
+            dataset.attrs = dataset.attrs | {"ess": float(dataset["ess"].sum())}
+        kept[group] = xr.DataTree(dataset)
+    return kept

@@ -5,14 +5,12 @@ from pymc_features.smc.density.graph import Outputs, batched_graph
 from pymc_features.smc.density.prior import prior_points
 from pymc_features.smc.density.rows import RowFunction
 from pymc_features.smc.kernels.base import PopulationKernel
-from pymc_features.smc.kernels.metropolis import PopulationIMH, PopulationMH
+from pymc_features.smc.kernels.metropolis import TMCMC, PopulationIMH, PopulationMH
 from pymc_features.smc.kernels.persistent import PersistentSMC
 from pymc_features.smc.kernels.subset import SubsetSimulation
-from pymc_features.smc.kernels.tmcmc import TMCMC
 from pymc_features.smc.proposals.reference import Reference, find_reference
-from pymc_features.smc.results import likelihood_kinds, savable
-from pymc_features.smc.sample import check_run, processors, sample_smc
-from pymc_features.smc.workers.workers import Workers, check_workers, open_workers
+from pymc_features.smc.sample import check_run, likelihood_kinds, processors, sample_smc, savable
+from pymc_features.smc.workers import Workers, check_workers, open_workers
 
 KERNELS = (PopulationIMH, PopulationMH, PersistentSMC, TMCMC)  # for any model
 SIMULATOR_KERNELS = (SubsetSimulation,)  # for models with one pm.Simulator node

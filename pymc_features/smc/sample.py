@@ -1,14 +1,30 @@
 """`sample_smc`: PyMC's function with a better default kernel and a result that can be saved."""
 
+import copy
+import json
 import os
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from queue import Empty, SimpleQueue
 
 import numpy as np
 import pymc as pm
+import pymc.smc.sampling
+import pytensor.tensor as pt
 import xarray as xr
+from pymc.backends.ndarray import NDArray
+from pymc.distributions.simulator import SimulatorRV
+from pymc.progress_bar import SMCProgressBarManager
+from pymc.pytensorf import compile as compile_function
 from pymc.sampling.parallel import ParallelSamplingError
 from pymc.smc.kernels import SMC_KERNEL
+from pymc.smc.sampling import _build_trace_from_kernel_state as draw_by_draw
+from pymc.smc.sampling import _sample_smc_sequentially as one_after_another
 from pymc.util import RandomState
+from pymc.vartypes import discrete_types
+from pytensor.graph.basic import Constant
+from pytensor.graph.replace import vectorize_graph
 from pytensor.graph.traversal import ancestors
 
 from pymc_features._checks import (
@@ -22,13 +38,12 @@ from pymc_features._checks import (
 )
 from pymc_features.exceptions import CheckpointError, NoSpreadError, ToleranceNotReachedError
 from pymc_features.external.workers.calls import one_thread_each
+from pymc_features.smc.density.graph import is_random, largest_result, nodes_of, simulator_functions
+from pymc_features.smc.density.rows import BATCH_BYTES, with_mode
 from pymc_features.smc.kernels.base import PopulationKernel
 from pymc_features.smc.kernels.checkpoint import remembered
 from pymc_features.smc.kernels.persistent import PersistentSMC
-from pymc_features.smc.results import likelihood_kinds, savable
-from pymc_features.smc.trace import all_draws_at_once
-from pymc_features.smc.workers.chains import chains_on
-from pymc_features.smc.workers.workers import check_workers, open_workers
+from pymc_features.smc.workers import Workers, check_workers, open_workers
 
 MOST_RUNS = 10_000  # chains, or processes
 
@@ -100,7 +115,9 @@ def sample_smc(
     ('chain',)
     """
     check_run(draws, chains, cores, random_seed, settings.get("progressbar", True))
-    check_kernel(kernel)
+    if not (isinstance(kernel, type) and issubclass(kernel, SMC_KERNEL)):
+        advice = "Pass the class, for example PersistentSMC."
+        raise TypeError(message("kernel", "a kernel of `pm.sample_smc`", shown(kernel), advice))
     check_workers(executor)
     model = check_model(settings.get("model"))
     if settings.pop("return_inferencedata", True) is not True:
@@ -163,13 +180,6 @@ def check_run(draws, chains, cores, random_seed, progressbar) -> None:
     check_flag(progressbar, "progressbar")
 
 
-def check_kernel(kernel) -> None:
-    """Refuse what is no class of kernels."""
-    if not (isinstance(kernel, type) and issubclass(kernel, SMC_KERNEL)):
-        advice = "Pass the class, for example PersistentSMC."
-        raise TypeError(message("kernel", "a kernel of `pm.sample_smc`", shown(kernel), advice))
-
-
 def is_parallel_by_itself(model) -> bool:
     """Whether something in the model takes many processors for one chain."""
     for v in ancestors([*model.basic_RVs, *model.potentials]):
@@ -184,3 +194,212 @@ def is_parallel_by_itself(model) -> bool:
 def processors() -> int:
     """Number of processors that this process may use."""
     return os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
+
+
+PER_CHAIN = ("log_marginal_likelihood", "log_marginal_likelihood_se", "ess", "pareto_k", "largest_share")
+
+
+def savable(idata: xr.DataTree) -> xr.DataTree:
+    """Return the result with per-stage statistics as float arrays (chain, stage), padded with NaN.
+
+    With more than one chain, `pm.sample_smc` returns them as object arrays or lists of unequal lengths,
+    which neither netCDF nor Zarr can hold.
+
+    Parameters
+    ----------
+    idata : DataTree
+        As `pm.sample_smc` returns it; left as it is.
+
+    Returns
+    -------
+    DataTree
+        The same groups; `sample_stats` has the dimensions (chain, stage), but for
+        `log_marginal_likelihood`, its standard error, `ess`, `pareto_k` and `largest_share`, which belong to
+        the chain.
+    """
+    result = idata.copy()
+    if "sample_stats" not in result.children:
+        return result
+    stats = result["sample_stats"].to_dataset()
+    chains = np.atleast_1d(result["posterior"]["chain"].values)
+    of_chains = {  # lists of unequal lengths, or of one chain what belongs to it
+        name: [
+            np.ravel(np.asarray(row, dtype=float)) for row in (v.values if len(chains) > 1 else [v.values])
+        ]
+        for name, v in stats.data_vars.items()
+    }
+    n_stages = max((len(row) for rows in of_chains.values() for row in rows), default=0)
+    data = {}
+    for name, rows in of_chains.items():
+        if name in PER_CHAIN:
+            data[name] = "chain", [next(iter(row[~np.isnan(row)][::-1]), np.nan) for row in rows]
+        else:
+            padded = [np.pad(row, (0, n_stages - len(row)), constant_values=np.nan) for row in rows]
+            data[name] = ("chain", "stage"), np.array(padded)
+    attrs = {  # netCDF holds no others
+        key: value if isinstance(value, str | int | float | np.number) else str(value)
+        for key, value in stats.attrs.items()
+    }
+    coords = {"chain": chains, "stage": np.arange(n_stages)}
+    result["sample_stats"] = xr.DataTree(xr.Dataset(data, coords=coords, attrs=attrs))
+    return result
+
+
+def likelihood_kinds(model) -> str:
+    """What each likelihood of a model is a density of, as JSON: by this evidences can be compared.
+
+    "data" of PyMC's distributions and of ours with ``density="data"``; the class of those of a feature; of a
+    simulator node the tolerance.
+    """
+    return json.dumps({rv.name: kind_of_density(rv.owner.op) for rv in model.observed_RVs}, sort_keys=True)
+
+
+def kind_of_density(op) -> str:
+    """What one likelihood is a density of."""
+    if isinstance(op, SimulatorRV):
+        epsilon = op.epsilon.data.tolist() if isinstance(op.epsilon, Constant) else "of pm.Data"
+        return f"simulator with tolerance {epsilon}"
+    density = getattr(op, "density", "data")
+    return "data" if density == "data" else f"{density} of {type(op).__name__.removesuffix('RV')}"
+
+
+def trace_function(model) -> Callable[[list], dict[str, np.ndarray]] | None:
+    """What a trace holds of a model, of many draws at once: all variables (draw, ...) by name.
+
+    From those of `model.value_vars`. None if something in the model takes one draw at a time, or draws random
+    numbers itself.
+    """
+    values, variables = model.value_vars, model.unobserved_value_vars
+    rest = [v for v in variables if v not in values]
+    nodes = nodes_of(rest)
+    if simulator_functions(nodes) or any(map(is_random, nodes)):
+        return None
+    inputs = [pt.tensor(v.name, dtype=v.dtype, shape=(None, *v.type.shape)) for v in values]
+    try:
+        outputs = vectorize_graph(rest, dict(zip(values, inputs, strict=True)))
+    except Exception:  # any Op of any library may refuse in its own way
+        return None
+    outputs = [
+        new if new.ndim > old.ndim else pt.broadcast_to(new, (inputs[0].shape[0], *new.shape))
+        for new, old in zip(outputs, rest, strict=True)
+    ]
+    function = compile_function(inputs, outputs, on_unused_input="ignore", **with_mode({}, outputs))
+    batch = max(1, BATCH_BYTES // (8 * largest_result(values, rest)))
+
+    def all_variables(draws: list) -> dict[str, np.ndarray]:
+        parts = [function(*(x[i : i + batch] for x in draws)) for i in range(0, len(draws[0]), batch)]
+        found = dict(zip([v.name for v in values], draws, strict=True))
+        found |= zip([v.name for v in rest], map(np.concatenate, zip(*parts, strict=True)), strict=True)
+        return {v.name: found[v.name] for v in variables}
+
+    return all_variables
+
+
+@contextmanager
+def all_draws_at_once() -> Iterator[None]:
+    """Let `pm.sample_smc` write its traces in one call; as it does by itself where that is not possible."""
+    functions = {}
+
+    def build_trace(tempered_posterior, var_info, variables, chain, model):
+        if model not in functions:
+            functions[model] = trace_function(model)
+        if functions[model] is None:
+            return draw_by_draw(tempered_posterior, var_info, variables, chain, model)
+        draws, first = [], 0
+        for v in variables:
+            shape, size = var_info[v.name]
+            values = tempered_posterior[:, first : first + size].reshape(-1, *shape)
+            draws.append((np.round(values) if v.dtype in discrete_types else values).astype(v.dtype))
+            first += size
+        found = functions[model](draws)
+        trace = NDArray(
+            name=model.name,
+            model=model,
+            fn=lambda *point: [x[0] for x in functions[model]([np.asarray(x)[None] for x in point]).values()],
+            var_shapes={name: x.shape[1:] for name, x in found.items()},
+            var_dtypes={name: x.dtype for name, x in found.items()},
+        )
+        trace.setup(len(draws[0]), chain)
+        trace.samples.update({name: np.ascontiguousarray(x) for name, x in found.items()})
+        trace.draw_idx = trace.draws
+        return trace
+
+    pymc.smc.sampling._build_trace_from_kernel_state = build_trace
+    try:
+        yield
+    finally:
+        pymc.smc.sampling._build_trace_from_kernel_state = draw_by_draw
+
+
+LOOK_SECONDS = 1.0
+
+
+@contextmanager
+def chains_on(workers: Workers | None, most: int) -> Iterator[None]:
+    """Let `pm.sample_smc`, asked for chains one after another, run up to `most` at once on workers.
+
+    Each chain has a kernel and random numbers of its own, so that its draws do not depend on the others.
+    Without workers nothing changes.
+    """
+
+    def side_by_side(*, kernel, chains, rngs, start_points, model, traces, **rest):
+        ends = run_chains(kernel, start_points, rngs, most, workers, rest)
+        for number, (own, stats) in enumerate(ends):
+            build = pymc.smc.sampling._build_trace_from_kernel_state
+            traces.append(build(own.tempered_posterior, own.var_info, own.variables, number, model))
+            rest["sample_stats"].append(stats)
+            rest["sample_settings"].append(own.sample_settings())
+
+    if workers is not None:
+        pymc.smc.sampling._sample_smc_sequentially = side_by_side
+    try:
+        yield
+    finally:
+        pymc.smc.sampling._sample_smc_sequentially = one_after_another
+
+
+def run_chain(number, kernel, start, rng, told: SimpleQueue) -> tuple[PopulationKernel, dict]:
+    """A kernel at the posterior, and its statistics; what the progress bar shows goes to `told`."""
+    stats, stage = {name: [] for name in kernel.stats_dtypes_shapes}, 0
+    kernel.initialize(start, rng)
+    while kernel.beta < 1:
+        before = kernel.beta
+        kernel.update_beta_and_weights()
+        told.put({"stage": stage, "beta": kernel.beta, "old_beta": before, "chain_idx": number})
+        for name, value in kernel.step().items():
+            stats[name].append(value)
+        stage += 1
+    last = {"stage": stage, "beta": kernel.beta, "old_beta": kernel.beta, "is_last": True}
+    told.put({**last, "chain_idx": number})
+    return kernel, stats
+
+
+def run_chains(kernel, start_points, rngs, most, workers, bars) -> list[tuple[PopulationKernel, dict]]:
+    """Kernels and statistics of all chains, when they are over; the first error, or Ctrl-C, ends them all."""
+    run, told, kernels = workers.run(), SimpleQueue(), [copy.copy(kernel) for _ in rngs]
+    for own in kernels:
+        own.evaluate_by(run.of)
+    settings = {name: bars[name] for name in ("progressbar", "progressbar_theme")}
+    with (
+        SMCProgressBarManager(kernel=kernel, chains=len(kernels), **settings) as shown,
+        ThreadPoolExecutor(most, thread_name_prefix="chain") as pool,
+    ):
+        try:
+            chains = zip(range(len(kernels)), kernels, start_points, rngs, strict=True)
+            futures = [pool.submit(run_chain, *chain, told) for chain in chains]
+            for future in futures:
+                future.add_done_callback(told.put)
+            left = len(futures)
+            while left:  # woken up now and then, for Ctrl-C
+                with suppress(Empty):
+                    news = told.get(timeout=LOOK_SECONDS)
+                    if isinstance(news, dict):
+                        shown.update(**news)
+                    else:
+                        news.result()
+                        left -= 1
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            run.stop()
+            raise
+    return [future.result() for future in futures]

@@ -19,7 +19,7 @@ from pymc.sampling.parallel import ParallelSamplingError
 from pymc_features import inference, smc
 from pymc_features.calibration import calibrate
 from pymc_features.exceptions import ConfigError, ToleranceNotReachedError, UncalibratedError
-from pymc_features.inference.lost_chains import without_lost_chains
+from pymc_features.inference.sample import without_lost_chains
 from pymc_features.smc import Workers, open_workers, sample_smc
 from pymc_features.storage import SUMMED, PartStore, held, moved_aside, settings_in
 from pymc_features.update.config.keys import with_keys

@@ -11,7 +11,7 @@ from scipy.stats import halfnorm, multivariate_normal, norm
 
 from pymc_features import compare, hierarchical, sample
 from pymc_features.exceptions import SamplingWarning
-from pymc_features.smc.density import compilation
+from pymc_features.smc.density import rows
 
 QUIET = {"cores": 1, "chains": 2, "random_seed": 1, "progressbar": False}
 PROBABILITIES = [0.05, 0.5, 0.95]
@@ -65,8 +65,8 @@ def test_eight_schools(monkeypatch):
     """
     rng = np.random.default_rng(3)
     events = [event(y, s, 20.0, 2400, rng)[0] for y, s in zip(EFFECTS, ERRORS, strict=True)]
-    has_loops, looked = compilation.has_python_loops, []
-    monkeypatch.setattr(compilation, "has_python_loops", lambda v: looked.append(has_loops(v)) or looked[-1])
+    has_loops, looked = rows.has_python_loops, []
+    monkeypatch.setattr(rows, "has_python_loops", lambda v: looked.append(has_loops(v)) or looked[-1])
     found = hierarchical(events, population(), event_draws=2400, draws=750, **QUIET)
     assert looked and not any(looked)  # else Numba compiles the sum over the draws of the events
     mean, scatter = np.meshgrid(np.linspace(-40, 50, 601), np.linspace(1e-3, 60, 800), indexing="ij")

@@ -3,6 +3,7 @@
 import functools
 import warnings
 from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pymc as pm
@@ -12,7 +13,7 @@ import pytest
 from scipy import stats
 
 import pymc_features as pmf
-from pymc_features.inference.cross_check import Density, Effort, cross_check, tails_are_light
+from pymc_features.inference.cross_check import Effort, cross_check, tails_are_light
 from pymc_features.smc.proposals.reference import Mode, Reference
 
 QUIET = {"progressbar": False, "cores": 1, "chains": 2}
@@ -188,8 +189,11 @@ def test_what_is_negligible_is_looked_at_once(log_weight):
         shares = np.exp(logs - np.logaddexp(*logs))[:, :, None]
         return np.logaddexp(*logs), -(shares * away).sum(axis=0)
 
-    density = Density(
-        lambda x: np.logaddexp(*parts(x)[0]), gradients, lambda n: rng.uniform(5.0, 7.0, (n, d))
+    density = SimpleNamespace(
+        values=lambda x: np.logaddexp(*parts(x)[0]),
+        gradients=gradients,
+        has_gradient=True,
+        draw_prior=lambda n: rng.uniform(5.0, 7.0, (n, d)),
     )
     found = cross_check(density, rng.standard_normal((500, d)), 0.0, 0.01, Effort(500, 100), rng)
     assert not found.missed
@@ -209,10 +213,11 @@ def test_a_heavy_mode_that_few_climbs_lead_to_leaves_doubt(around, rare):
 
     modes = [Mode(centre[0], np.eye(2), np.log(0.5), 1) for centre in centres]
     draws = rng.standard_normal((500, 2)) + np.repeat(centres[:, 0], 250, axis=0)
-    prior = Density(
-        lambda x: gradients(x)[0],
-        gradients,
-        lambda n: rng.choice(around, (n, 1)) + rng.uniform(-0.5, 0.5, (n, 2)),
+    prior = SimpleNamespace(
+        values=lambda x: gradients(x)[0],
+        gradients=gradients,
+        has_gradient=True,
+        draw_prior=lambda n: rng.choice(around, (n, 1)) + rng.uniform(-0.5, 0.5, (n, 2)),
     )
     reference = Reference(modes, np.zeros(2), np.ones(2))
     found = cross_check(prior, draws, 0.0, 0.01, Effort(500, 100), rng, reference)

@@ -12,7 +12,6 @@ from scipy import stats
 
 import pymc_features as pmf
 from pymc_features.exceptions import NoSpreadError
-from pymc_features.inference import beside
 from pymc_features.smc.density.evaluation import PopulationLogp
 from support.pages import README, blocks
 from support.populations import discrete
@@ -78,7 +77,7 @@ def test_what_it_returns_and_saves(tmp_path):
     highest = int(modes["log_evidence"].argmax())
     np.testing.assert_allclose(modes["x"][highest], [-6.0 * 100.0 / 101.0, 0.0], atol=1e-3)
     # Gaussians at the modes are the posterior
-    assert found["laplace_error"] < beside.CLOSE
+    assert found["laplace_error"] < module.CLOSE
     assert found["close_to_laplace"].startswith("yes: quantiles of Gaussians at the modes are off by at most")
 
     idata.to_netcdf(tmp_path / "draws.nc")

@@ -16,7 +16,7 @@ import pytest
 import pymc_features as pmf
 from pymc_features.exceptions import CheckpointError
 from pymc_features.smc import KERNELS
-from pymc_features.smc.kernels.checkpoint import MAGIC, Checkpoint, Journal, read_json, remembered
+from pymc_features.smc.kernels.checkpoint import MAGIC, Journal, chain_journal, read_json, remembered
 from support.external_functions import DATA, SHAPE, Counted, beam, note
 from support.mutations import mutated
 from support.sampling import QUIET
@@ -363,7 +363,7 @@ def test_a_journal_of_another_model_is_refused(finished, tmp_path):
 def hold(folder, ready, end):
     """Keep a journal in use."""
     rng = np.random.default_rng(1)
-    journal = Checkpoint(folder, "model").journal({}, rng)
+    journal = chain_journal(folder, {"model": "model"}, rng)
     ready.set()
     end.wait(60)
     journal.close()
@@ -377,11 +377,11 @@ def test_a_checkpoint_in_use(tmp_path):
     process.start()
     assert ready.wait(60)
     with pytest.raises(CheckpointError, match="`checkpoint` must belong to one run at a time, got .* in use"):
-        Checkpoint(tmp_path, "model").journal({}, np.random.default_rng(1))
-    Checkpoint(tmp_path, "model").journal({}, np.random.default_rng(2)).close()  # of another chain
+        chain_journal(tmp_path, {"model": "model"}, np.random.default_rng(1))
+    chain_journal(tmp_path, {"model": "model"}, np.random.default_rng(2)).close()  # of another chain
     end.set()
     process.join()
-    Checkpoint(tmp_path, "model").journal({}, np.random.default_rng(1)).close()
+    chain_journal(tmp_path, {"model": "model"}, np.random.default_rng(1)).close()
 
 
 def test_models_and_kernels_that_cannot_go_on(tmp_path):

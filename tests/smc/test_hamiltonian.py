@@ -10,9 +10,8 @@ from scipy import stats
 
 from pymc_features import DiscrepancySimulator, PersistentSMC, sample
 from pymc_features.exceptions import NotDifferentiableError
-from pymc_features.smc.kernels.chains import Chains
-from pymc_features.smc.proposals import arms
-from pymc_features.smc.proposals.arms import ARMS, HAMILTONIAN, FittedMoves, Hamiltonian
+from pymc_features.smc.kernels import chains
+from pymc_features.smc.kernels.chains import ARMS, HAMILTONIAN, Chains, FittedMoves, Hamiltonian
 from pymc_features.smc.proposals.pool import Pool
 from pymc_features.smc.proposals.proposal import StudentMixture, StudentT
 from pymc_features.smc.proposals.reference import Mode, Reference
@@ -202,7 +201,7 @@ def exact_of_ring():
 @pytest.fixture
 def by_gradients(monkeypatch):
     """Half of the steps are trajectories."""
-    monkeypatch.setattr(arms, "FIRST_SHARES", (0.1, 0.1, 0.1, 0.1, 0.1, 0.5))
+    monkeypatch.setattr(chains, "FIRST_SHARES", (0.1, 0.1, 0.1, 0.1, 0.1, 0.5))
     monkeypatch.setattr(FittedMoves, "adapt", lambda self, share: None)
 
 

@@ -10,10 +10,9 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from pymc_features.smc import PersistentSMC
-from pymc_features.smc.kernels import last_draws
+from pymc_features.smc.kernels import persistent
 from pymc_features.smc.proposals import pool as pool_module
-from pymc_features.smc.proposals.mixture import pareto_tail
-from pymc_features.smc.proposals.pool import QUANTILES, Pool
+from pymc_features.smc.proposals.pool import QUANTILES, Pool, pareto_tail
 from pymc_features.smc.proposals.reference import Mode, Reference
 from support.sampling import log_add
 
@@ -113,7 +112,7 @@ def test_evidence_is_that_of_draws_which_shaped_no_fit():
     rng = np.random.default_rng(4)
     pools = [fitted_pool(rng) for _ in range(300)]
     for unseen, low in ((True, False), (False, True)):
-        parts = [pool.unseen() if unseen else pool for pool in pools]
+        parts = [pool.unseen(np.array([0, 1])) if unseen else pool for pool in pools]
         evidences = np.exp([part.log_evidence(part.log_weights(1.0)) for part in parts])
         error = evidences.std() / np.sqrt(len(parts))
         assert (evidences.mean() < 1.0 - 4.0 * error) == low
@@ -243,11 +242,11 @@ class NormalFit:
         return rng.normal(0.0, self.sd, size=(n, 2))
 
 
-class LastStage(last_draws.LastDraws):
+class LastStage(PersistentSMC):
     """The end of `PersistentSMC` alone, with a posterior of two Student-t coordinates and a wide prior."""
 
-    draws, n_parameters, stage_draws, last_stage = 200, 2, 100, 1
-    bounded, reference, needs_fit, hamiltonian_share = None, None, True, 0.0
+    draws, n_parameters, stage_draws, last_stage, beta = 200, 2, 100, 1, 1.0
+    bounded, reference, reference_is_good, hamiltonian_share = None, None, False, 0.0
 
     def __init__(self, seed, degrees=5):
         self.rng, self.degrees, self.looks = np.random.default_rng(seed), degrees, []
@@ -268,7 +267,7 @@ class LastStage(last_draws.LastDraws):
 
 @pytest.fixture
 def normal_fit(monkeypatch):
-    monkeypatch.setattr(last_draws, "fit_twice_to", lambda *_: NormalFit())
+    monkeypatch.setattr(persistent, "fit_to", lambda *_, **__: NormalFit())
 
 
 @pytest.mark.statistical
@@ -280,7 +279,7 @@ def test_the_evidence_is_unbiased_by_the_rule_that_ends_the_draws(normal_fit, mo
     """
 
     def bias(heavy):
-        monkeypatch.setattr(last_draws, "HEAVY_K", heavy)
+        monkeypatch.setattr(persistent, "HEAVY_K", heavy)
         ends = [LastStage(seed) for seed in range(150)]
         for end in ends:
             end.complete()

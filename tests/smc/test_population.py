@@ -20,7 +20,7 @@ from scipy import stats
 import pymc_features as pmf
 from pymc_features.smc import KERNELS, PopulationLogp, population_logp
 from pymc_features.smc.density import rows
-from pymc_features.smc.density.compilation import has_python_loops, with_mode
+from pymc_features.smc.density.rows import has_python_loops, with_mode
 from support.graphs import REWRITTEN
 from support.populations import discrete, points_of, prior_particles
 from support.sampling import SERIAL
@@ -227,7 +227,7 @@ def test_splitting_changes_nothing(monkeypatch):
     whole = PopulationLogp(model, model.initial_point(), {})
     monkeypatch.setattr(rows, "BATCH_BYTES", 8 * 3 * 7)
     parts = PopulationLogp(model, model.initial_point(), {})
-    assert 1 < parts.batch < 25 < whole.batch
+    assert 1 < parts.values.batch < 25 < whole.values.batch
     for a, b in zip(whole(particles), parts(particles), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-14)
 
@@ -273,10 +273,10 @@ def test_memory_does_not_grow_with_histories(likelihood, fused):
     process.join()
     if fused:
         assert grown < 0.1 * histories
-        assert logp.batch > N_PARTICLES
+        assert logp.values.batch > N_PARTICLES
     else:
         assert grown > 0.3 * histories, "the negative control"
-        assert logp.batch < N_PARTICLES
+        assert logp.values.batch < N_PARTICLES
 
 
 def normal(mean=lambda mu: mu, sigma=lambda: 0.4):
@@ -349,7 +349,7 @@ def test_one_call_for_each_record(shared):
         for i in range(3):
             likelihood(i, theta[i], sigma)
     logp = population_logp(joint, joint.initial_point(), {})
-    ops = [type(node.op).__name__ for node in logp.function.maker.fgraph.apply_nodes]
+    ops = [type(node.op).__name__ for node in logp.values.function.maker.fgraph.apply_nodes]
     assert logp.batched and ops.count("PopulationDiscrepancy") == 3
     points = np.random.default_rng(1).normal(1.0, 0.05, (5, 2 if shared else 5))
     points[:, 0] -= 2.0
@@ -378,7 +378,7 @@ def test_a_new_model_needs_no_compilation_and_python_is_called_for_no_single_num
     """NumPy or SciPy has a function for every operation on arrays, those of bounded priors included."""
     model = declare()
     logp = population_logp(model, model.initial_point(), {})
-    assert isinstance(logp.function.maker.linker, PerformLinker)
+    assert isinstance(logp.values.function.maker.linker, PerformLinker)
     logp.compile_gradient()
     for function in (logp.values.function, logp.slopes.function):
         operations = [node.op for node in function.maker.fgraph.toposort() if isinstance(node.op, Elemwise)]

@@ -5,9 +5,8 @@ import pytest
 from scipy import optimize, stats
 
 from pymc_features.smc.proposals import reference
-from pymc_features.smc.proposals.ascent import curvature
-from pymc_features.smc.proposals.mixture import log_sum
-from pymc_features.smc.proposals.reference import find_reference
+from pymc_features.smc.proposals.proposal import log_sum
+from pymc_features.smc.proposals.reference import curvature, find_reference
 
 
 def rosenbrock(x):
@@ -31,6 +30,8 @@ def test_curvature_is_the_hessian():
 class Target:
     """Two Gaussians of given weights under a wide normal prior, in d dimensions."""
 
+    n_gradients = 0
+
     def __init__(self, weights=(0.1, 0.9), d=3, sd=0.3):
         self.weights, self.d, self.sd = np.log(weights), d, sd
         self.centres = np.array([np.full(d, -2.0), np.full(d, 2.0)])
@@ -39,10 +40,11 @@ class Target:
     def log_prior(self, x):
         return stats.norm(0.0, 3.0).logpdf(x).sum(axis=1)
 
-    def value(self, x):
-        return self.with_gradient(x)[0]
+    def values(self, x):
+        return self.gradients(x)[0]
 
-    def with_gradient(self, x):
+    def gradients(self, x):
+        self.n_gradients += len(x)
         parts = stats.norm(self.centres[:, None], self.sd).logpdf(x).sum(axis=2)
         value = log_sum(terms := self.weights[:, None] + parts)
         slopes = np.exp(terms - value)[..., None] * (self.centres[:, None] - x) / self.sd**2
@@ -52,7 +54,7 @@ class Target:
         return 3.0 * self.rng.standard_normal((n, self.d))
 
     def reference(self):
-        return find_reference(self.value, self.with_gradient, self.draw_prior, 1000)
+        return find_reference(self, 1000)
 
 
 def test_both_modes_are_found_with_their_evidences():
@@ -76,7 +78,7 @@ def evidence_and_efficiency(found, target, n=20_000):
     """Log evidence by importance sampling, its standard error, and the effective share of the draws."""
     rng = np.random.default_rng(3)
     x = found.draw(n, target.draw_prior, rng)
-    weights = np.exp(target.value(x) - found.log_density(x, target.log_prior(x)))
+    weights = np.exp(target.values(x) - found.log_density(x, target.log_prior(x)))
     mean = weights.mean()
     return np.log(mean), weights.std() / mean / np.sqrt(n), weights.sum() ** 2 / (weights**2).sum() / n
 
@@ -99,7 +101,7 @@ class Spike(Target):
     def __init__(self):
         self.d, self.rng = 9, np.random.default_rng(2)
 
-    def with_gradient(self, points):
+    def gradients(self, points):
         v, x = points[:, 0], points[:, 1:]
         squares = (x**2).sum(axis=1) * np.exp(-2.0 * v)
         value = -0.5 * squares - 8.0 * v + v - 2.0 * np.logaddexp(0.0, v)
@@ -123,7 +125,8 @@ class Valley(Target):
     def __init__(self):
         self.d, self.rng = 2, np.random.default_rng(2)
 
-    def with_gradient(self, x):
+    def gradients(self, x):
+        self.n_gradients += len(x)
         return rosenbrock(x)
 
 

@@ -5,16 +5,16 @@ import pytest
 from scipy import stats
 from scipy.special import logsumexp
 
-from pymc_features.smc.proposals import polynomials, unbending
-from pymc_features.smc.proposals.fitted import (
+from pymc_features.smc.proposals import unbending
+from pymc_features.smc.proposals.proposal import StudentMixture, StudentT, fit_mixture
+from pymc_features.smc.proposals.reference import Mode, Reference
+from pymc_features.smc.proposals.unbending import (
     FittedProposal,
+    UnbendingMap,
     Unbent,
     fit_to,
     fit_unbent,
 )
-from pymc_features.smc.proposals.proposal import StudentMixture, StudentT, fit_mixture
-from pymc_features.smc.proposals.reference import Mode, Reference
-from pymc_features.smc.proposals.unbending import UnbendingMap
 from support.sampling import mean_within_errors
 
 
@@ -200,7 +200,7 @@ def test_a_parabola_between_logits(monkeypatch):
         return w.sum() ** 2 / (w @ w) / len(w)
 
     kept = share_kept()
-    monkeypatch.setattr(unbending, "affordable", lambda *_: polynomials.PRODUCTS)
+    monkeypatch.setattr(unbending, "affordable", lambda *_: unbending.PRODUCTS)
     assert kept > 0.08 and kept > 3.0 * share_kept()
 
 
@@ -255,9 +255,9 @@ class Bananas:
         self.n, self.noise = n_pairs, noise
 
     def values(self, x):
-        return self.gradient(x)[0]
+        return self.gradients(x)[0]
 
-    def gradient(self, x):
+    def gradients(self, x):
         a, b = x[:, : self.n], x[:, self.n :]
         rest = (b - 0.25 * a**2) / self.noise
         value = -0.5 * (a**2 + rest**2).sum(axis=1) - x.shape[1] / 2 * np.log(2.0 * np.pi)
@@ -283,7 +283,7 @@ def test_bananas_become_straight():
     """Laplace's approximation keeps a hundredth of 4,000 draws, the map a third; evidence within 0.1."""
     target = Bananas(10)
     laplace = target.reference()
-    bent = laplace.bent(target.values, target.gradient, np.random.default_rng(7))
+    bent = laplace.bent(target, np.random.default_rng(7))
     before, _ = efficiency(laplace, target)
     after, evidence = efficiency(bent, target)
     assert before < 0.02 and after > 0.3, (before, after)
@@ -293,7 +293,7 @@ def test_bananas_become_straight():
 def test_slopes_of_the_reference():
     """Its gradient, which trajectories from it follow, against differences."""
     target, d = Bananas(8), 16
-    reference = target.reference().bent(target.values, target.gradient, np.random.default_rng(7))
+    reference = target.reference().bent(target, np.random.default_rng(7))
     assert reference.maps[0] is not None
     x = 0.3 * np.random.default_rng(8).normal(size=(20, d)) * np.repeat([1.0, target.noise], 8)
 

@@ -125,9 +125,10 @@ class WithoutDensity(PersistentSMC):
 class WithoutMixture(PersistentSMC):
     """Weighs the independent draws as if all came from the prior."""
 
-    def finish(self, sample):
-        sample.log_mixture = lambda: np.zeros(len(sample.mass))
-        super().finish(sample)
+    def finish(self, *samples):
+        for sample in samples:
+            sample.log_mixture = lambda sample=sample: np.zeros(len(sample.mass))
+        super().finish(*samples)
 
 
 class OldTemperature(PopulationMH):

@@ -13,7 +13,7 @@ from pytensor.compile.executor import Function
 
 from pymc_features import TruncNormalFeature, paper, response, sample_smc
 from pymc_features.sampling import PopulationIMH
-from pymc_features.smc.trace import all_draws_at_once
+from pymc_features.smc.sample import all_draws_at_once
 from support.structures import noise_record
 
 
@@ -65,7 +65,7 @@ def particles_of(model, count=7):
 def test_same_as_draw_by_draw(build, monkeypatch):
     """Every variable to the last digits, in its own type; in batches of one, where they hold any."""
     if build is transforms:
-        monkeypatch.setattr("pymc_features.smc.trace.BATCH_BYTES", 8)
+        monkeypatch.setattr("pymc_features.smc.sample.BATCH_BYTES", 8)
     model = build()
     given = (*particles_of(model), model.value_vars, 3, model)
     expected = draw_by_draw(*given)

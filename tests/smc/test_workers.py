@@ -23,8 +23,8 @@ from pymc_features.external.workers import calls
 from pymc_features.simulators.linear.known import KNOWN
 from pymc_features.simulators.nonlinear.kernels import PARTICLES
 from pymc_features.smc import open_workers, population_logp
+from pymc_features.smc import workers as workers_module
 from pymc_features.smc.density.rows import UNIT
-from pymc_features.smc.workers import workers as workers_module
 from support.external_functions import DATA, SHAPE, beam, lives
 from support.families import CASES, RAYLEIGH, measured, pulse
 from support.sampling import QUIET
@@ -44,7 +44,7 @@ def eager(monkeypatch):
     """Every population is worth a message, and none begins here while workers load the model."""
     monkeypatch.setattr(workers_module, "HERE", 0.0)
     monkeypatch.setattr(workers_module, "ELSEWHERE", 0.0)
-    monkeypatch.setattr(workers_module.Spread, "some_are_ready", lambda self, work: True)
+    monkeypatch.setattr(workers_module.Run, "some_are_ready", lambda self, work: True)
 
 
 def model_of(name, likelihood=pmf.ExpFeature):
@@ -217,7 +217,7 @@ def usual_ctrl_c():
 @pytest.mark.processes
 def test_ctrl_c_ends_the_processes_and_loses_nothing(eager, usual_ctrl_c, monkeypatch, tmp_path):
     """Pressed while two chains wait for a worker; the next run goes on from what is kept."""
-    elsewhere, done, pids = workers_module.Spread.elsewhere, [], set()
+    elsewhere, done, pids = workers_module.Run.elsewhere, [], set()
 
     def interrupted(self, *rest):
         found = elsewhere(self, *rest)
@@ -231,7 +231,7 @@ def test_ctrl_c_ends_the_processes_and_loses_nothing(eager, usual_ctrl_c, monkey
     settings = {"model": model_of("chain"), "chains": 2, "random_seed": 4, "stage_draws": 60, **QUIET}
     expected = pmf.sample_smc(60, cores=1, **settings)
     with monkeypatch.context() as patch:
-        patch.setattr(workers_module.Spread, "elsewhere", interrupted)
+        patch.setattr(workers_module.Run, "elsewhere", interrupted)
         with pytest.raises(KeyboardInterrupt):
             pmf.sample_smc(60, executor=1, checkpoint=tmp_path / "kept", **settings)
     assert pids and not any(map(lives, pids))

@@ -10,7 +10,7 @@ import xarray as xr
 
 from pymc_features import cli
 from pymc_features.exceptions import ChainsDisagreeWarning
-from pymc_features.inference.lost_chains import without_lost_chains
+from pymc_features.inference.sample import without_lost_chains
 from pymc_features.update import write_example
 from support.update_files import replaced
 

@@ -16,8 +16,8 @@ import xarray as xr
 from pymc_features import cli, datasets, simulate, update
 from pymc_features.calibration.sandwich import sentence as of_growth
 from pymc_features.exceptions import CalibrationWarning, ConfigError, DatasetUnavailableError
-from pymc_features.smc.workers import workers
-from pymc_features.smc.workers.workers import Spread
+from pymc_features.smc import workers
+from pymc_features.smc.workers import Run
 from pymc_features.update import read_problem, run_update, sampling, write_example
 from pymc_features.update.kinds.base import declare
 from pymc_features.update.kinds.responses import measured_gain
@@ -88,7 +88,7 @@ def result(finished):
 @pytest.mark.slow
 def test_an_executor_gives_the_same_draws(example, finished, tmp_path, capsys, monkeypatch):
     """A thread does what a worker does; what is no executor is refused before anything is sampled."""
-    spread, elsewhere, out = [], Spread.elsewhere, tmp_path / "out"
+    spread, elsewhere, out = [], Run.elsewhere, tmp_path / "out"
 
     def counted(self, logp, which, particles):
         spread.append(len(particles))
@@ -107,8 +107,8 @@ def test_an_executor_gives_the_same_draws(example, finished, tmp_path, capsys, m
     path = variant(example, tmp_path, (ALL, '["EXP"]'))
     for name in ("HERE", "ELSEWHERE"):  # every population is worth a message
         monkeypatch.setattr(workers, name, 0.0)
-    monkeypatch.setattr(Spread, "some_are_ready", lambda self, work: True)
-    monkeypatch.setattr(Spread, "elsewhere", counted)
+    monkeypatch.setattr(Run, "some_are_ready", lambda self, work: True)
+    monkeypatch.setattr(Run, "elsewhere", counted)
     with ThreadPoolExecutor(1) as pool:
         run_update(read_problem(path), out=out, cores=1, executor=pool, progressbar=False)
     assert sum(spread) > 300

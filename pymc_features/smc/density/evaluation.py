@@ -4,17 +4,27 @@ import uuid
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from weakref import WeakKeyDictionary, WeakValueDictionary
+from functools import cached_property
+from weakref import WeakValueDictionary
 
 import cloudpickle
 import numpy as np
 import pytensor.tensor as pt
+from pymc.vartypes import discrete_types
 from pytensor.gradient import NullTypeGradError
 
 from pymc_features.exceptions import NotDifferentiableError, PopulationWarning
-from pymc_features.smc.density.graph import DensityGraph, Outputs, density_graph
-from pymc_features.smc.density.nodes import core_op, inner_nodes, is_random, simulators_inside
-from pymc_features.smc.density.prior import inside_support, prior_points
+from pymc_features.smc.density.graph import (
+    DensityGraph,
+    Outputs,
+    batched_graph,
+    core_op,
+    inner_nodes,
+    is_random,
+    joined_graph,
+    simulator_functions,
+)
+from pymc_features.smc.density.prior import inside_support, kept_for, prior_points
 from pymc_features.smc.density.rows import RowFunction
 
 
@@ -26,8 +36,6 @@ def gradient_graph(graph: DensityGraph) -> DensityGraph:
     NotDifferentiableError
         If a part of the model has no gradient; the message is one sentence without its stop.
     """
-    if graph.discrete:
-        raise NotDifferentiableError(f"{', '.join(graph.discrete)} is discrete")
     try:
         one = with_gradients(graph.one)
     except Exception as error:  # any Op of any library may refuse in its own way
@@ -63,7 +71,6 @@ PRIOR_POINTS = 1024  # at most, from which bases are made
 
 # In this process, and in those forked from it, a pickled evaluation finds its compiled functions here.
 _ALIVE: WeakValueDictionary = WeakValueDictionary()
-_OF_MODEL: WeakKeyDictionary = WeakKeyDictionary()
 
 
 class PopulationLogp:
@@ -92,9 +99,9 @@ class PopulationLogp:
     def __init__(self, model, point, compile_kwargs, terms=None):
         self.token = uuid.uuid4().hex
         self.compile_kwargs = dict(compile_kwargs)
-        self.graph = density_graph(
-            model, point, *inside_support(model, point, terms or (model.varlogp, model.datalogp))
-        )
+        terms = inside_support(model, point, terms or (model.varlogp, model.datalogp))
+        self.graph = batched_graph(joined_graph(model, point, *terms))
+        self.discrete = [v.name for v in model.value_vars if v.dtype in discrete_types]
         self.counts_simulations = self.graph.counts_simulations
         if self.graph.why_not_batched:
             warnings.warn(
@@ -104,7 +111,7 @@ class PopulationLogp:
             )
         self.spread = None
         self.values = RowFunction(self.graph, self.compile_kwargs)
-        self.slopes = self._why_no_gradient = self._with_slopes = None  # not known before they are asked for
+        self.slopes = self._with_slopes = None  # not known before they are asked for
         _ALIVE[self.token] = self
         start = np.concatenate([np.ravel(point[v.name]) for v in model.value_vars])[None]
         self.start = start.astype(self.graph.one.joined.dtype)
@@ -195,20 +202,18 @@ class PopulationLogp:
                 owner.slopes(owner.start)
             if owner.all_over is not None:
                 owner.slopes.learn(owner.all_over)
-        self.slopes, self._why_no_gradient = owner.slopes, ""
+        self.slopes, self.why_no_gradient = owner.slopes, ""
 
-    @property
+    @cached_property
     def why_no_gradient(self) -> str:
         """What part of the model has no gradient; empty if there is one. Compiles nothing."""
-        if self._why_no_gradient is None:
-            self._why_no_gradient = ""
-            try:
-                self._with_slopes = gradient_graph(self.graph)
-            except NotDifferentiableError as error:
-                self._why_no_gradient = str(error)
-            if not self._why_no_gradient and self.draws_random_numbers:
-                self._why_no_gradient = "random numbers are drawn inside, anew in each call"
-        return self._why_no_gradient
+        if self.discrete:
+            return f"{', '.join(self.discrete)} is discrete"
+        try:
+            self._with_slopes = gradient_graph(self.graph)
+        except NotDifferentiableError as error:
+            return str(error)
+        return "random numbers are drawn inside, anew in each call" if self.draws_random_numbers else ""
 
     @property
     def has_gradient(self) -> bool:
@@ -216,9 +221,9 @@ class PopulationLogp:
         return not self.why_no_gradient
 
     @property
-    def function(self):
-        """The compiled function of the values."""
-        return self.values.function
+    def nodes(self) -> list:
+        """Nodes of the compiled function of the values."""
+        return list(inner_nodes(self.values.function.maker.fgraph))
 
     @property
     def batched(self) -> bool:
@@ -226,27 +231,21 @@ class PopulationLogp:
         return self.values.batched
 
     @property
-    def batch(self) -> int:
-        """Particles in one call, at most."""
-        return self.values.batch
-
-    @property
     def last_error(self) -> str:
         """What the model raised last, or else a simulator function; empty if nothing did."""
-        ops = simulators_inside(self.function.maker.fgraph)
+        ops = simulator_functions(self.nodes)
         raised = [f.raised for f in (self.values, self.slopes) if f is not None]
         return next(filter(None, [*raised, *(getattr(op.fn, "last_error", "") for op in ops)]), "")
 
     @property
     def draws_random_numbers(self) -> bool:
         """Whether two evaluations of the same particle may differ."""
-        return any(map(is_random, inner_nodes(self.function.maker.fgraph)))
+        return any(map(is_random, self.nodes))
 
     @property
     def is_expensive(self) -> bool:
         """Whether something in the model says that it is not to be evaluated more often than need be."""
-        nodes = inner_nodes(self.function.maker.fgraph)
-        return any(getattr(core_op(node), "expensive", False) for node in nodes)
+        return any(getattr(core_op(node), "expensive", False) for node in self.nodes)
 
     def spread_over(self, spread: Callable) -> "PopulationLogp":
         """Evaluate by `spread(logp, "values" or "slopes", particles)`."""
@@ -293,9 +292,8 @@ def population_logp(model, point, compile_kwargs, name="posterior", terms=None) 
         model.check_bounds,
         repr(sorted(compile_kwargs.items())),
     )
-    evaluations = _OF_MODEL.setdefault(model, {})
-    known = evaluations.get(name)
-    if known is None or known[0] != key:
-        logp = PopulationLogp(model, point, compile_kwargs, None if terms is None else terms())
-        known = evaluations[name] = (key, logp)
-    return known[1]
+
+    def make():
+        return PopulationLogp(model, point, compile_kwargs, None if terms is None else terms())
+
+    return kept_for(model, f"density {name}", key, make)

@@ -7,8 +7,8 @@ import pytensor.tensor as pt
 from pymc.distributions.simulator import SimulatorRV
 from pymc.logprob.utils import local_check_parameter_to_ninf_switch, local_remove_check_parameter
 from pymc.pytensorf import join_nonshared_inputs
-from pymc.vartypes import discrete_types
 from pytensor.compile import optdb
+from pytensor.compile.ops import DeepCopyOp, ViewOp
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant, Variable
 from pytensor.graph.fg import FunctionGraph
@@ -16,9 +16,99 @@ from pytensor.graph.replace import vectorize_graph
 from pytensor.graph.rewriting.basic import dfs_rewriter
 from pytensor.graph.rewriting.db import RewriteDatabaseQuery
 from pytensor.graph.traversal import ancestors, io_toposort
+from pytensor.raise_op import CheckAndRaise
+from pytensor.tensor.basic import Alloc, Join, MakeVector, ScalarFromTensor, Split, TensorFromScalar
+from pytensor.tensor.blockwise import Blockwise
+from pytensor.tensor.elemwise import CAReduce, DimShuffle, Elemwise
+from pytensor.tensor.random.type import RandomGeneratorType
+from pytensor.tensor.shape import Reshape, Shape, Shape_i, SpecifyShape
+from pytensor.tensor.subtensor import AdvancedIncSubtensor, AdvancedSubtensor, IncSubtensor, Subtensor
 from pytensor.tensor.type import TensorType
 
-from pymc_features.smc.density.nodes import core_op, why_not_batched
+# What NumPy computes of each row by itself, in the same way whatever the number of rows; a product of
+# matrices is none of them. So do the Ops of this package.
+ROW_BY_ROW = (
+    Elemwise,
+    DimShuffle,
+    CAReduce,
+    Alloc,
+    Join,
+    Split,
+    MakeVector,
+    ScalarFromTensor,
+    TensorFromScalar,
+    Reshape,
+    Shape,
+    Shape_i,
+    SpecifyShape,
+    Subtensor,
+    IncSubtensor,
+    AdvancedSubtensor,
+    AdvancedIncSubtensor,
+    ViewOp,
+    DeepCopyOp,
+    CheckAndRaise,
+)
+
+
+def core_op(node):
+    """The Op of a node, without the wrapping of batches."""
+    return node.op.core_op if isinstance(node.op, Blockwise) else node.op
+
+
+def why_not_batched(outputs) -> str | None:
+    """Say which part of the graph takes one set of parameters at a time; None if there is none."""
+    for op in simulator_functions(nodes_of(outputs)):
+        if not getattr(op.fn, "batched", False):
+            return (
+                f"the function of {op.name} takes one set of parameters at a time. If it accepts a "
+                "leading particle dimension, say so by `function.batched = True`"
+            )
+    return None
+
+
+def nodes_of(outputs) -> set:
+    """All nodes of a graph."""
+    return {v.owner for v in ancestors(outputs) if v.owner is not None}
+
+
+def simulator_functions(nodes) -> list:
+    """Those Ops of nodes that call a simulator function."""
+    return [node.op for node in nodes if isinstance(node.op, SimulatorRV)]
+
+
+def inner_nodes(graph):
+    """Nodes of a compiled graph, also where PyTensor has wrapped them."""
+    for node in graph.apply_nodes:
+        yield node
+        if getattr(node.op, "fgraph", None) is not None:
+            yield from inner_nodes(node.op.fgraph)
+
+
+def is_random(node) -> bool:
+    """Whether a node draws random numbers; simulators of ours get a generator and say that they do not."""
+    op = core_op(node)
+    if isinstance(op, SimulatorRV) and not getattr(op.fn, "draws_random_numbers", True):
+        return False
+    inside = getattr(op, "fgraph", None) is not None  # its own nodes tell
+    return not inside and any(isinstance(v.type, RandomGeneratorType) for v in node.inputs)
+
+
+def goes_row_by_row(function) -> bool:
+    """Whether the rows of what NumPy evaluates are known not to depend on the number of rows.
+
+    To the last bit: a product of matrices sums in another order for another number of rows.
+    """
+    graph = function.maker.fgraph
+    depends = set(graph.inputs[:1])
+    for node in graph.toposort():
+        if depends.isdisjoint(node.inputs):
+            continue
+        depends.update(node.outputs)
+        ours = type(core_op(node)).__module__.startswith("pymc_features.")
+        if not (isinstance(node.op, ROW_BY_ROW) or ours) or is_random(node):
+            return False
+    return True
 
 
 class Outputs(NamedTuple):
@@ -47,14 +137,11 @@ class DensityGraph(NamedTuple):
         The same of particles (p, d); None if a part of the model takes no batch.
     why_not_batched : str
         What part that is; empty if there is none.
-    discrete : tuple of str
-        Names of the discrete variables.
     """
 
     one: Outputs
     population: Outputs | None
     why_not_batched: str
-    discrete: tuple[str, ...]
 
     @property
     def counts_simulations(self) -> bool:
@@ -62,24 +149,18 @@ class DensityGraph(NamedTuple):
         return len(self.one.outputs) > 2
 
 
-def density_graph(model, point, outputs: list, inputs: list) -> DensityGraph:
-    """The graph of scalars in `inputs`: the model's value variables, or what stands for them."""
-    discrete = tuple(v.name for v in model.value_vars if v.dtype in discrete_types)
-    return batched_graph(joined_graph(model, point, outputs, inputs), discrete)
-
-
-def batched_graph(one: Outputs, discrete: tuple[str, ...] = ()) -> DensityGraph:
+def batched_graph(one: Outputs) -> DensityGraph:
     """Make the graph one of a whole population, where no part of it refuses."""
     if (reason := why_not_batched(one.outputs)) is not None:
-        return DensityGraph(one, None, reason, discrete)
+        return DensityGraph(one, None, reason)
     particles = pt.matrix("particles", dtype=one.joined.dtype)
     try:
         outputs = vectorize_graph(one.outputs, {one.joined: particles})
     except Exception as error:  # any Op of any library may refuse in its own way
-        return DensityGraph(one, None, f"a part of the model cannot be vectorised ({error})", discrete)
+        return DensityGraph(one, None, f"a part of the model cannot be vectorised ({error})")
     rows = particles.shape[0]
     outputs = [out if out.ndim else pt.broadcast_to(out, (rows,)) for out in outputs]
-    return DensityGraph(one, Outputs(particles, outputs), "", discrete)
+    return DensityGraph(one, Outputs(particles, outputs), "")
 
 
 def joined_graph(model, point, outputs: list, inputs: list) -> Outputs:
@@ -95,7 +176,7 @@ def joined_graph(model, point, outputs: list, inputs: list) -> Outputs:
     outputs = list(graph.outputs)
     failures = [
         pt.any(pt.isnan(out) | pt.isinf(out))
-        for node in {v.owner for v in ancestors(outputs) if v.owner is not None}
+        for node in nodes_of(outputs)
         if getattr(core_op(node), "simulates", isinstance(node.op, SimulatorRV))
         for out in node.outputs
         if isinstance(out.type, TensorType)

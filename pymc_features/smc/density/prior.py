@@ -1,6 +1,7 @@
 """The prior of a model: draws by a function that is compiled once, and densities outside of its support."""
 
 import uuid
+from collections.abc import Callable
 from contextlib import suppress
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
@@ -22,36 +23,45 @@ _ALIVE: WeakValueDictionary = WeakValueDictionary()
 _OF_MODEL: WeakKeyDictionary = WeakKeyDictionary()
 
 
+def kept_for(model, name: str, key, make: Callable):
+    """What `make` returns, made for a model once under each name, and anew where the key is another."""
+    kept = _OF_MODEL.setdefault(model, {})
+    if name not in kept or kept[name][0] != key:
+        kept[name] = key, make()
+    return kept[name][1]
+
+
 class PriorDraws:
     """First particles: for the same generator the same numbers as PyMC's kernels draw.
 
     Parameters
     ----------
-    expression : list of TensorVariable
-        One draw of each variable, on the unconstrained scale.
+    expressions : dict of TensorVariable
+        One draw of each value variable by its name, on the unconstrained scale.
     """
 
-    def __init__(self, expression: list):
-        self.token = uuid.uuid4().hex
-        self.expression = expression
+    def __init__(self, expressions: dict):
+        self.token, self.expressions = uuid.uuid4().hex, expressions
         self._compile()
         _ALIVE[self.token] = self
 
     def _compile(self):
         # the seed comes with each call
-        self.function, updates = compile_function([], self.expression, random_seed=False, return_updates=True)
+        outputs = list(self.expressions.values())
+        self.function, updates = compile_function([], outputs, random_seed=False, return_updates=True)
         self.rngs = list(updates)
         self.function()  # in this process, that forked ones need not begin with the machine code
 
-    def __call__(self, draws: int, rng: np.random.Generator) -> list[np.ndarray]:
-        """Return an array (draws, ...) for each variable."""
+    def __call__(self, draws: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Return an array (draws, ...) of each value variable, by its name."""
         with ONE_CALL:
             reseed_rngs(self.rngs, rng.integers(2**30, dtype=np.int64))
             drawn = [self.function() for _ in range(draws)]
-        return [np.stack(column) for column in zip(*drawn, strict=True)]
+        columns = map(np.stack, zip(*drawn, strict=True))
+        return dict(zip(self.expressions, columns, strict=True))
 
     def __getstate__(self):
-        return {"token": self.token, "expression": self.expression}
+        return {"token": self.token, "expressions": self.expressions}
 
     def __setstate__(self, state):
         self.__dict__.update(state)
@@ -75,23 +85,24 @@ def prior_draws(model, ignore_initial_values: bool) -> PriorDraws:
         rv: None if ignore_initial_values else value for rv, value in model.rvs_to_initial_values.items()
     }
     key = tuple((id(rv), id(model.rvs_to_values[rv]), id(initial_values[rv])) for rv in model.free_RVs)
-    known = _OF_MODEL.get(model)
-    if known is None or known[0] != key:
-        expression = make_initial_point_expression(
+
+    def make():
+        expressions = make_initial_point_expression(
             free_rvs=model.free_RVs,
             rvs_to_transforms=model.rvs_to_transforms,
             initval_strategies=initial_values,
             default_strategy="prior",
             return_transformed=True,
         )
-        known = _OF_MODEL[model] = (key, PriorDraws(expression))
-    return known[1]
+        names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
+        return PriorDraws(dict(zip(names, expressions, strict=True)))
+
+    return kept_for(model, "draws", key, make)
 
 
 def prior_points(model, n: int, rng: np.random.Generator) -> np.ndarray:
     """Draws from the prior (n, d) on the sampled scale, in the order of the model's value variables."""
-    names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
-    columns = dict(zip(names, prior_draws(model, True)(n, rng), strict=True))
+    columns = prior_draws(model, True)(n, rng)
     return np.hstack([np.reshape(columns[v.name], (n, -1)) for v in model.value_vars])
 
 
@@ -146,7 +157,5 @@ def possible_values(model, point) -> dict[str, np.ndarray]:
     """One draw from the prior; the given `point` where there are no draws."""
     with suppress(NotImplementedError):
         drawn = prior_draws(model, True)(1, np.random.default_rng(0))
-        return {
-            model.rvs_to_values[rv].name: values[0] for rv, values in zip(model.free_RVs, drawn, strict=True)
-        }
+        return {name: values[0] for name, values in drawn.items()}
     return {name: np.asarray(value) for name, value in point.items()}

@@ -5,14 +5,91 @@ import warnings
 from contextlib import contextmanager
 
 import numpy as np
+import pytensor
+import pytensor.tensor as pt
 from pymc.pytensorf import compile as compile_function
 from pytensor import shared as make_shared
+from pytensor.compile.mode import Mode
+from pytensor.graph.rewriting.basic import dfs_rewriter, node_rewriter
+from pytensor.scalar import Add, Mul, Softplus
+from pytensor.scan.op import Scan
+from pytensor.tensor.basic import Alloc
+from pytensor.tensor.blockwise import Blockwise
+from pytensor.tensor.elemwise import Elemwise
+from pytensor.tensor.random.op import RandomVariable
 from pytensor.tensor.random.type import RandomGeneratorType
 
 from pymc_features.simulators.linear.known import KNOWN
-from pymc_features.smc.density.compilation import INTERPRETED, with_mode
-from pymc_features.smc.density.graph import DensityGraph, largest_result
-from pymc_features.smc.density.nodes import goes_row_by_row, simulator_functions
+from pymc_features.smc.density.graph import (
+    DensityGraph,
+    goes_row_by_row,
+    largest_result,
+    nodes_of,
+    simulator_functions,
+)
+
+WIDEST = 16  # operands of a sum or product; a ufunc of NumPy takes 31
+
+
+@node_rewriter([Elemwise])
+def split_sums(fgraph, node):
+    """Wide sums and products in parts: the slope of forty storeys by what they share has forty summands."""
+    operands = node.inputs
+    if not isinstance(node.op.scalar_op, Add | Mul) or len(operands) <= WIDEST:
+        return None
+    first = node.op(*operands[:WIDEST])
+    return [node.op(first, *operands[WIDEST:])]
+
+
+@node_rewriter([Elemwise])
+def softplus_by_numpy(fgraph, node):
+    """ln(1 + exp(x)) by functions of NumPy, which has none: PyTensor would call Python for each number."""
+    if not isinstance(node.op.scalar_op, Softplus):
+        return None
+    (x,) = node.inputs
+    return [pt.maximum(x, 0.0) + pt.log1p(pt.exp(-pt.abs(x)))]
+
+
+# NumPy calls for everything around the kernels, which are machine code in any mode. Numba would compile the
+# whole graph: twenty seconds for value and gradient of a new model, to save half a millisecond of a call.
+# Sums are split, and logarithms written out, after all rewrites that would join them again.
+INTERPRETED = (
+    Mode(linker="py", optimizer="fast_run")
+    .excluding("fusion")
+    .register((dfs_rewriter(split_sums), 49.2), (dfs_rewriter(softplus_by_numpy), 49.2))
+)
+
+
+def with_mode(compile_kwargs: dict, outputs) -> dict:
+    """Arguments of `pytensor.function` with a mode; that of the user or of PyTensor's flags comes first.
+
+    By default NumPy evaluates what is between the kernels, unless something there would be a loop in Python.
+    """
+    chosen = "mode" in compile_kwargs or (pytensor.config.mode, pytensor.config.linker) != ("Mode", "auto")
+    if chosen or has_python_loops(outputs):
+        return compile_kwargs
+    return compile_kwargs | {"mode": INTERPRETED}
+
+
+def has_python_loops(outputs) -> bool:
+    """Whether NumPy would be called once for each particle or step."""
+    return any(map(is_loop, nodes_of(outputs)))
+
+
+def is_loop(node) -> bool:
+    """Whether a node is a loop over particles or steps that takes longer in Python than what it calls."""
+    op = node.op
+    if isinstance(op, Scan):
+        return True
+    if (
+        not isinstance(op, Blockwise)
+        or isinstance(op.core_op, RandomVariable | Alloc)
+        or op.batch_ndim(node) == 0
+    ):
+        return False
+    spec = op.gufunc_spec or getattr(op.core_op, "gufunc_spec", None)
+    return spec is None and not type(op.core_op).__module__.startswith("pymc_features.")
+
 
 BATCH_BYTES = 2**26  # of the largest intermediate result of one call; larger populations are split
 UNIT = 8  # particles of a group in our kernels, or two groups: a population is cut at multiples of it
@@ -65,7 +142,7 @@ class RowFunction:
         self.batch = max(
             1, BATCH_BYTES // (8 * alive * largest_result([graph.one.joined], graph.one.outputs))
         )
-        self.errors = NUMERICAL_ERRORS if simulator_functions(graph.one.outputs) == [] else Exception
+        self.errors = Exception if simulator_functions(nodes_of(graph.one.outputs)) else NUMERICAL_ERRORS
         joined, outputs = graph.population if self.batched else graph.one
         kwargs = with_mode(compile_kwargs, outputs) if self.batched else compile_kwargs
         with quiet_about_python():

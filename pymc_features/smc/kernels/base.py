@@ -23,7 +23,7 @@ from pymc_features._checks import (
 )
 from pymc_features.smc.density.evaluation import PopulationLogp, population_logp
 from pymc_features.smc.density.prior import prior_draws
-from pymc_features.smc.kernels.checkpoint import Checkpoint, model_fingerprint
+from pymc_features.smc.kernels.checkpoint import chain_journal, evaluated, model_fingerprint
 
 
 def checked_start(start, variables) -> dict[str, np.ndarray]:
@@ -44,8 +44,10 @@ def checked_start(start, variables) -> dict[str, np.ndarray]:
 
 
 class KernelOptions(TypedDict, total=False):
-    """Arguments of `PopulationKernel` that a kernel with many of its own takes as they come."""
+    """Arguments of `PopulationKernel` that other kernels take as they come."""
 
+    model: pm.Model | None
+    random_seed: RandomState
     start: dict | None
     compile_kwargs: dict | None
     checkpoint: str | PathLike | None
@@ -96,14 +98,15 @@ class PopulationKernel(SMC_KERNEL):
     starts_from_prior = False
     densities = ("logp",)  # attributes that evaluate populations
     correlation_threshold = 0.01  # of `mutate`, as in PyMC
-    stats_dtypes_shapes = {
-        **SMC_KERNEL.stats_dtypes_shapes,
-        "n_steps": (int, []),
-        "evaluations": (int, []),
-        "gradients": (int, []),
-        "failed": (int, []),
-        "seconds": (float, []),
-    }
+    statistics: tuple[str, ...] = ()  # attributes of a kernel that are numbers of the stage just finished
+    settings: tuple[str, ...] = ("threshold", "_n_tune", "correlation_threshold")  # attributes, as in PyMC
+    _n_tune = property(lambda self: self.n_steps)
+
+    def __init_subclass__(cls, **kwargs):
+        super().__init_subclass__(**kwargs)
+        counts = dict.fromkeys(("n_steps", "evaluations", "gradients", "failed"), (int, []))
+        numbers = dict.fromkeys(("seconds", *cls.statistics), (float, []))
+        cls.stats_dtypes_shapes = SMC_KERNEL.stats_dtypes_shapes | counts | numbers
 
     def __init__(
         self,
@@ -127,18 +130,20 @@ class PopulationKernel(SMC_KERNEL):
         self.variables = model.value_vars
         self.start = None if start is None else checked_start(start, self.variables)
         self.prior = prior_draws(model, self.starts_from_prior)
-        self.prior_names = [model.rvs_to_values[rv].name for rv in model.free_RVs]
         # in place of PyMC's initial point, which is compiled anew each time
         draw = self.prior(1, np.random.default_rng(self.rng.integers(2**30)))
-        point = {name: values[0] for name, values in zip(self.prior_names, draw, strict=True)}
-        point = {v.name: point[v.name] for v in self.variables}
+        point = {v.name: draw[v.name][0] for v in self.variables}
         self.var_info = {name: (value.shape, value.size) for name, value in point.items()}
         self.n_parameters = sum(size for _, size in self.var_info.values())
         self.compile_evaluation(model, point, compile_kwargs)
-        self.checkpoint = self.journal = None
+        self.checkpoint, self.journal = checkpoint, None
         if checkpoint is not None:
-            self.checkpoint = Checkpoint(checkpoint, model_fingerprint(model))
-            self.checkpoint.refuse_random(self.logp)
+            self.fingerprint = model_fingerprint(model)
+            if self.logp.draws_random_numbers:
+                raise ValueError(
+                    "`checkpoint` must be left out for a model with random draws inside (`noise`), for they "
+                    "would not be the same again. Sample it without, or infer the noise by a likelihood."
+                )
         self._reset_state()
 
     def _reset_state(self):
@@ -166,20 +171,14 @@ class PopulationKernel(SMC_KERNEL):
         self.rng = rng
         self.logp = self.logp.with_rng(rng)
         if self.checkpoint is not None:
-            settings = {"kernel": type(self).__name__, "draws": self.draws, **self.sample_settings()}
+            run = {"model": self.fingerprint, "kernel": type(self).__name__, "draws": self.draws}
             if self.journal is not None:
                 self.journal.close()  # the chain before
-            self.journal = self.checkpoint.journal(settings, rng)
-
-    def evaluated(self, particles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Log prior, log-likelihood and failures, each (p,), of particles (p, d); journals remember them."""
-        if self.journal is None:
-            return self.logp(particles)
-        return self.journal.evaluate(self.logp, particles)
+            self.journal = chain_journal(self.checkpoint, run | self.sample_settings(), rng)
 
     def evaluate(self, particles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Log prior and log-likelihood, each (p,), of particles (p, d); counts evaluations and failures."""
-        prior, likelihood, failed = self.evaluated(particles)
+        prior, likelihood, failed = evaluated(self.journal, self.logp, particles)
         self.evaluations += len(particles)
         self.failed += int(failed.sum())
         return prior, likelihood
@@ -194,10 +193,7 @@ class PopulationKernel(SMC_KERNEL):
         NotDifferentiableError
             If the model has no gradient.
         """
-        if self.journal is None:
-            results = self.logp.gradient(particles)
-        else:
-            results = self.journal.evaluate(self.logp.gradient, particles, n_gradients=2)
+        results = evaluated(self.journal, self.logp.gradient, particles, n_gradients=2)
         prior, likelihood, failed, *slopes = results
         self.gradients += len(particles)
         self.failed += int(failed.sum())
@@ -205,10 +201,8 @@ class PopulationKernel(SMC_KERNEL):
 
     def initial_particles(self, n: int) -> np.ndarray:
         """The given start, or `n` draws from the prior: (n, d)."""
-        if self.start:  # PyMC sets it once more, unchecked
-            initial = checked_start(self.start, self.variables)
-        else:
-            initial = dict(zip(self.prior_names, self.prior(n, self.rng), strict=True))
+        # PyMC sets `start` once more, unchecked
+        initial = checked_start(self.start, self.variables) if self.start else self.prior(n, self.rng)
         columns = []
         for v in self.variables:
             values = np.array(initial[v.name], dtype=np.float64)
@@ -259,6 +253,7 @@ class PopulationKernel(SMC_KERNEL):
                 break
             previous = r
         self.accepted = np.array(accepted_steps)
+        self.accept_rate = float(self.accepted.mean())
 
     def sample_stats(self) -> dict:
         """Statistics of the stage just finished."""
@@ -271,19 +266,15 @@ class PopulationKernel(SMC_KERNEL):
             "gradients": self.gradients,
             "failed": self.failed,
             "seconds": now - self.clock,
+            **{name: getattr(self, name) for name in self.statistics},
         }
         self.evaluations = self.gradients = self.failed = 0
         self.clock = now
         return stats
 
     def sample_settings(self) -> dict:
-        """Settings, saved as attributes of `sample_stats`; those of PyMC's kernels."""
-        return {
-            "_n_draws": self.draws,
-            "threshold": self.threshold,
-            "_n_tune": self.n_steps,
-            "correlation_threshold": self.correlation_threshold,
-        }
+        """Settings, saved as attributes of `sample_stats`."""
+        return {"_n_draws": self.draws, **{name: getattr(self, name) for name in self.settings}}
 
 
 def correlations(a, b) -> np.ndarray:

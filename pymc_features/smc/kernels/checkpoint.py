@@ -139,62 +139,45 @@ class Journal:
         self.file.close()
 
 
-class Checkpoint:
-    """A folder with the journals of all chains, and what they belong to.
+def evaluated(journal: Journal | None, function, particles: np.ndarray, n_gradients: int = 0):
+    """Results of a function of particles (p, d), remembered where there is a journal; see there."""
+    return function(particles) if journal is None else journal.evaluate(function, particles, n_gradients)
 
-    Parameters
-    ----------
-    folder : path-like
-        Made if absent.
-    model : str
-        The model's fingerprint.
+
+def chain_journal(folder, run: dict, rng: np.random.Generator) -> Journal:
+    """The journal, in a folder that is made if absent, of the chain that begins with these random numbers.
+
+    Raises
+    ------
+    CheckpointError
+        If the folder belongs to another run.
     """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with ONE_CHAIN:
+        run = claimed(folder, run)
+    state = json.dumps(rng.bit_generator.state, sort_keys=True, default=int)
+    name = hashlib.sha256(state.encode()).hexdigest()[:16]
+    return Journal(folder / f"{name}.journal", json.dumps(run, sort_keys=True))
 
-    def __init__(self, folder, model: str):
-        self.folder, self.model = Path(folder), model
 
-    def refuse_random(self, logp):
-        """Refuse a log-probability with random draws inside: they would not be the same again."""
-        if logp.draws_random_numbers:
-            raise ValueError(
-                "`checkpoint` must be left out for a model with random draws inside (`noise`), for they "
-                "would not be the same again. Sample it without, or infer the noise by a likelihood."
-            )
-
-    def journal(self, settings: dict, rng: np.random.Generator) -> Journal:
-        """The journal of the chain that begins with these random numbers.
-
-        Raises
-        ------
-        CheckpointError
-            If the folder belongs to another run.
-        """
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with ONE_CHAIN:
-            run = self.claim({"model": self.model, **settings})
-        state = json.dumps(rng.bit_generator.state, sort_keys=True, default=int)
-        name = hashlib.sha256(state.encode()).hexdigest()[:16]
-        return Journal(self.folder / f"{name}.journal", json.dumps(run, sort_keys=True))
-
-    def claim(self, run: dict) -> dict:
-        """Write what run this is, or compare; return it as it is written."""
-        run = json.loads(json.dumps(run, default=float))
-        path = self.folder / "run.json"
-        known = read_json(path)
-        if known is None and any(self.folder.glob("*.journal")):
-            known = read_json(path)  # another chain's process may just have written both
-            if known is None:
-                raise CheckpointError(
-                    f"`checkpoint` must have a run.json, got none in {self.folder}. {ADVICE}"
-                )
+def claimed(folder: Path, run: dict) -> dict:
+    """Write what run this is, or compare; return it as it is written."""
+    run = json.loads(json.dumps(run, default=float))
+    path = folder / "run.json"
+    known = read_json(path)
+    if known is None and any(folder.glob("*.journal")):
+        known = read_json(path)  # another chain's process may just have written both
         if known is None:
-            write_json(path, run)
-        elif differing := sorted(k for k in run if known.get(k) != run[k]):
-            raise CheckpointError(
-                f"`checkpoint` must be of this run, got {self.folder} of one with other: "
-                f"{', '.join(differing)}. {ADVICE}"
-            )
-        return run
+            raise CheckpointError(f"`checkpoint` must have a run.json, got none in {folder}. {ADVICE}")
+    if known is None:
+        write_json(path, run)
+    elif differing := sorted(k for k in run if known.get(k) != run[k]):
+        raise CheckpointError(
+            f"`checkpoint` must be of this run, got {folder} of one with other: "
+            f"{', '.join(differing)}. {ADVICE}"
+        )
+    return run
 
 
 def remembered(folder, random_seed, chains, default_chains):

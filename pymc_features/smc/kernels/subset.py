@@ -5,15 +5,197 @@ from typing import NoReturn, Unpack
 
 import numpy as np
 import pymc as pm
-from pymc.util import RandomState
+import pytensor.tensor as pt
+from pymc.distributions.simulator import SimulatorRV, gaussian, laplace
+from pymc.logprob.abstract import _logprob
+from pytensor.compile.mode import Mode
+from pytensor.graph.traversal import ancestors
 
-from pymc_features._checks import check_keywords, check_share, is_number, shown, single
+from pymc_features._checks import as_numbers, check_keywords, check_share, is_number, message, shown, single
 from pymc_features.exceptions import SubsetSimulationWarning, ToleranceNotReachedError
-from pymc_features.smc.density.discrepancy import SimulatorNode
 from pymc_features.smc.density.evaluation import population_logp
 from pymc_features.smc.kernels.base import KernelOptions, PopulationKernel
-from pymc_features.smc.proposals.mixture import equal_draws
-from pymc_features.smc.proposals.moves import CrossedMoves
+from pymc_features.smc.proposals.pool import equal_draws
+from pymc_features.smc.proposals.proposal import distinct, fit_mixture
+
+
+class SimulatorNode:
+    """The one `pm.Simulator` node of a model, as a discrepancy rho and a tolerance on it.
+
+    Parameters
+    ----------
+    model : pymc.Model
+        With one simulator among its observed variables; other likelihoods and potentials are allowed.
+
+    Attributes
+    ----------
+    hard : bool
+        Whether the node's own kernel is the threshold rho <= epsilon.
+
+    Notes
+    -----
+    A distance may have an attribute `minus_rho`, a distance that returns -rho, and `hard`, as those of
+    `DiscrepancySimulator`. Of PyMC's, "gaussian" has rho = |s(y) - s(x)|_2 and "laplace" |s(y) - s(x)|_1, and
+    of a function of the user's the negative log-density is taken for rho / epsilon. Where epsilon is an
+    array, rho stands for that ratio, and its tolerance is 1.
+    """
+
+    def __init__(self, model):
+        found = [rv for rv in model.observed_RVs if isinstance(rv.owner.op, SimulatorRV)]
+        if len(found) != 1:
+            names = ", ".join(rv.name for rv in found) or "none"
+            raise ValueError(
+                f"`model` must have one pm.Simulator node, got {names}. Declare one with "
+                "DiscrepancySimulator, or sample with pmf.sample_smc(), which takes any model."
+            )
+        self.model = model
+        [self.rv] = found
+        self.op = self.rv.owner.op
+        self.distance = type(self.op)._distance  # looked up in the instance, a function would be a method
+        if self.model.free_RVs and set(self.model.free_RVs) & set(ancestors([self.op.epsilon])):
+            raise TypeError(
+                f"`epsilon` of {self.rv.name} must be a number, an array or pm.Data, got one that depends on "
+                "random variables. Look at several tolerances with sampling.tolerance_sweep()."
+            )
+        self.hard = getattr(self.distance, "hard", False)
+
+    @property
+    def has_one_tolerance(self) -> bool:
+        """Whether epsilon is one number."""
+        return self.op.epsilon.ndim == 0
+
+    def tolerance(self, asked=None) -> float:
+        """The tolerance asked for, or else the node's, from its data as they are now."""
+        if asked is not None and not self.has_one_tolerance:
+            wanted = f"left out where {self.rv.name} has one for each sensor"
+            raise ValueError(message("epsilon", wanted, shown(asked)))
+        epsilon = self.op.epsilon.eval(mode=Mode(linker="py", optimizer=None)) if asked is None else asked
+        values = as_numbers(epsilon, "epsilon", what="a number")
+        if asked is not None and values.ndim > 0:
+            raise ValueError(message("epsilon", "one number", shown(values.tolist())))
+        if not (np.isfinite(values) & (values > 0)).all():
+            raise ValueError(message("epsilon", "positive and finite", shown(values.tolist())))
+        return float(values) if self.has_one_tolerance else 1.0
+
+    def base_terms(self) -> tuple:
+        """Log prior, and the log-density of whatever else the model conditions on."""
+        others = [rv for rv in self.model.observed_RVs if rv is not self.rv]
+        rest = pt.zeros(())
+        if others:
+            rest = rest + self.model.logp(vars=others)
+        if self.model.potentials:
+            rest = rest + self.model.potentiallogp
+        return self.model.varlogp, rest
+
+    @property
+    def conditions_on_more(self) -> bool:
+        """Whether the model has other likelihoods or potentials."""
+        return len(self.model.observed_RVs) > 1 or len(self.model.potentials) > 0
+
+    def rho_terms(self) -> tuple:
+        """Zero, and -rho."""
+        [minus_rho] = self.model.replace_rvs_by_values([self._minus_rho()])
+        return pt.zeros(()), minus_rho
+
+    def _minus_rho(self):
+        value = self.model.rvs_to_values[self.rv]
+        inputs = self.rv.owner.inputs
+        own = getattr(self.distance, "minus_rho", None)
+        changes = {}
+        if own is not None:
+            changes = {"_distance": own}
+        elif self.has_one_tolerance and self.distance in (gaussian, laplace):
+            changes = {"epsilon": 1.0}  # no rounding by a division: the edge is exactly where rho = epsilon
+        op = type(type(self.op).__name__, (type(self.op),), changes)() if changes else self.op
+        minus_rho = pt.sum(_logprob(op, [value], *inputs))
+        if self.distance is gaussian:
+            minus_rho = -pt.sqrt(-2.0 * minus_rho)
+        return minus_rho * self.op.epsilon if not changes and self.has_one_tolerance else minus_rho
+
+
+# At a hard edge, or with a noisy simulator, short moves are hardly accepted more often than long ones: 0.35
+# made up to six times as many simulations, or was out of reach at any length
+TARGET_AT_AN_EDGE = 0.1
+# What a fitted mixture misses grows with the dimension: from two to eleven parameters the share of local
+# proposals rises, and the expected correlation with its first points falls below which a stage may end
+LOCAL_SHARES = (0.2, 0.5)
+FORGOTTEN = (0.1, 0.001)
+
+
+class CrossedMoves:
+    """Proposals of a Markov chain, as long as their acceptance allows.
+
+    Most are moves of a mixture fitted to points of the target (`StudentMixture.move`): independent of the
+    present point at a scale of one, shortened towards it (t-preconditioned Crank-Nicolson, a conditional
+    move) below. Some are steps along the difference of two of the points (differential evolution,
+    ter Braak 2006): of the right size even in a corner of the target that holds too few points for the
+    mixture to see it.
+
+    Moves fitted to the very points they start from fit them too well: few of them lead away, and a population
+    keeps the errors of its seeds. So even rows belong to one half, odd rows to the other, and each half is
+    moved by what is fitted to the other one.
+
+    Parameters
+    ----------
+    n_parameters : int
+        Dimension of the points.
+
+    Attributes
+    ----------
+    scales : array (2,)
+        Length of the mixtures' moves, up to 1; kept from stage to stage.
+    memory : array (2,)
+        Expected correlation with the points at which the stage began.
+    n_steps : int
+        Steps of the stage.
+    """
+
+    def __init__(self, n_parameters: int):
+        rise = float(np.clip((n_parameters - 2) / 9.0, 0.0, 1.0))
+        self.local_share = LOCAL_SHARES[0] + rise * (LOCAL_SHARES[1] - LOCAL_SHARES[0])
+        self.forgotten = FORGOTTEN[0] * (FORGOTTEN[1] / FORGOTTEN[0]) ** rise
+        self.scales = np.ones(2)
+
+    def fit(self, points, rng: np.random.Generator):
+        """Begin a stage: fit to equally weighted points (n, d) of its target."""
+        self.points = points[1::2], points[::2]
+        self.mixtures = [fit_mixture(*distinct(half), rng) for half in self.points]
+        self.memory, self.n_steps = np.ones(2), 0
+
+    def log_density(self, x):
+        """Log-density (n,) of each point's mixture."""
+        density = np.empty(len(x))
+        for k, mixture in enumerate(self.mixtures):
+            density[k::2] = mixture.log_density(x[k::2])
+        return density
+
+    def propose(self, x, rng: np.random.Generator):
+        """Return proposals (n, d), and which of them (n,) are local and hence symmetric."""
+        proposal, local = np.empty_like(x), np.empty(len(x), dtype=bool)
+        for k, points in enumerate(self.points):
+            n, d = x[k::2].shape
+            moved = self.mixtures[k].move(x[k::2], self.scales[k], rng)
+            a, b = rng.integers(len(points), size=(2, n))
+            step = points[a] - points[b]
+            local[k::2] = (rng.random(n) < self.local_share) & step.any(axis=1)
+            length = 2.38 / np.sqrt(2.0 * d) * np.exp(0.7 * rng.standard_normal(n))
+            proposal[k::2] = np.where(local[k::2, None], x[k::2] + length[:, None] * step, moved)
+        return proposal, local
+
+    def learn(self, moved):
+        """After a step, from which points moved (n,): forget, and shorten moves that are rarely accepted."""
+        acceptance = np.array([moved[k::2].mean() for k in range(2)])
+        kept = np.sqrt(1.0 - self.scales**2)  # of its distance from the centre, by a moved point
+        self.n_steps += 1
+        self.memory *= 1.0 - (1.0 - self.local_share) * acceptance * (1.0 - kept)
+        gain = 1.0 / np.sqrt(1.0 + 0.1 * self.n_steps)
+        self.scales = np.clip(self.scales * np.exp(gain * (acceptance - TARGET_AT_AN_EDGE)), 1e-3, 1.0)
+
+    @property
+    def has_forgotten(self) -> bool:
+        """Whether little of the stage's first points is left in either half."""
+        return bool((self.memory <= self.forgotten).all())
+
 
 FEWEST = 4  # particles within a tolerance: two for each half
 STALLED = (5, 0.01)  # levels in which the way to the tolerance must shorten by this share
@@ -173,15 +355,15 @@ class SubsetSimulation(PopulationKernel):
 
     starts_from_prior = True
     densities = ("logp", "base")
-    stats_dtypes_shapes = {
-        **PopulationKernel.stats_dtypes_shapes,
-        "epsilon": (float, []),
-        "accept_rate": (float, []),
-        "scale": (float, []),
-        "log_probability": (float, []),
-        "coefficient_of_variation": (float, []),
-        "log_marginal_likelihood_se": (float, []),
-    }
+    statistics = (
+        "epsilon",
+        "accept_rate",
+        "scale",
+        "log_probability",
+        "coefficient_of_variation",
+        "log_marginal_likelihood_se",
+    )
+    settings = ("p0", "stage_draws", "epsilon", "max_simulations")
 
     def __init__(
         self,
@@ -191,13 +373,11 @@ class SubsetSimulation(PopulationKernel):
         stage_draws: int | None = None,
         epsilon: float | None = None,
         max_simulations: float | None = None,
-        model: pm.Model | None = None,
-        random_seed: RandomState = None,
         **kwargs: Unpack[KernelOptions],
     ):
         check_keywords(kwargs, KernelOptions.__annotations__, "SubsetSimulation")
         self.p0 = check_share(p0, "p0", "The default is 0.2.")
-        super().__init__(draws, model=model, random_seed=random_seed, **kwargs)
+        super().__init__(draws, **kwargs)
         # each half of the particles that a level keeps must show a shape
         self.least = int(np.ceil(4 / self.p0))
         self.stage_draws = self.checked_stage_draws(stage_draws, share=0.5, least=self.least, default=400)
@@ -266,9 +446,7 @@ class SubsetSimulation(PopulationKernel):
 
     def simulate(self, x: np.ndarray) -> np.ndarray:
         """rho (n,) of particles (n, d), infinite where the simulation failed; counted."""
-        _, minus_rho, failed = self.evaluated(x)
-        self.evaluations += len(x)
-        self.failed += int(failed.sum())
+        _, minus_rho = self.evaluate(x)
         self.smallest = min(self.smallest, -minus_rho.max())
         return -minus_rho
 
@@ -284,7 +462,9 @@ class SubsetSimulation(PopulationKernel):
         self.iteration += 1
         self.seeds = self.levels.lower(self.population[2], self.chains)
         self.beta = self.levels.progress
-        self.log_marginal_likelihood = self.levels.log_probability
+        self.log_marginal_likelihood = self.log_probability = self.levels.log_probability
+        self.coefficient_of_variation = float(np.sqrt(self.levels.variance))
+        self.log_marginal_likelihood_se = self.coefficient_of_variation if self.levels.is_last else np.nan
         if self.levels.has_stalled:
             self.give_up("The last levels came no nearer: increase `epsilon`, or improve the model.")
 
@@ -330,7 +510,7 @@ class SubsetSimulation(PopulationKernel):
             states.append((x, base, rho))
             acceptances.append(moved.mean())
             moves.learn(moved)
-        self.n_steps = moves.n_steps
+        self.n_steps, self.scale = moves.n_steps, float(moves.scales.mean())
         self.accept_rate = float(np.mean(acceptances)) if acceptances else np.nan
         self.collect(states)
 
@@ -367,19 +547,5 @@ class SubsetSimulation(PopulationKernel):
             self.tempered_posterior, _, self.rho = (a[chosen] for a in self.population)
 
     def sample_stats(self) -> dict:
-        """Statistics of the level just finished."""
-        cov = float(np.sqrt(self.levels.variance))
-        return {
-            **super().sample_stats(),
-            "epsilon": self.levels.tolerance,
-            "accept_rate": self.accept_rate,
-            "scale": self.moves.scale,
-            "log_probability": self.levels.log_probability,
-            "coefficient_of_variation": cov,
-            "log_marginal_likelihood_se": cov if self.levels.is_last else np.nan,
-        }
-
-    def sample_settings(self) -> dict:
-        """Settings, saved as attributes of `sample_stats`."""
-        names = ("p0", "stage_draws", "epsilon", "max_simulations")
-        return {"_n_draws": self.draws, **{name: getattr(self, name) for name in names}}
+        """Statistics of the level just finished, its tolerance as `epsilon`."""
+        return super().sample_stats() | {"epsilon": self.levels.tolerance}

@@ -8,13 +8,18 @@ from scipy.optimize import brentq
 from scipy.special import digamma, gammaln
 
 from pymc_features.exceptions import NoSpreadError
-from pymc_features.smc.proposals.mixture import log_sum
 
 RELATIVE_JITTER = 1e-9
 DEGREES = (2.5, 200.0)  # range of the degrees of freedom; the upper end is as good as a Gaussian
 ITERATIONS = 40
 MAX_COMPONENTS = 4
 POINTS_PER_PARAMETER = 10  # of a component: location, scatter, weight
+
+
+def log_sum(terms: np.ndarray) -> np.ndarray:
+    """ln sum exp over the first axis, without SciPy's overhead."""
+    top = terms.max(axis=0)
+    return top + np.log(np.exp(terms - top).sum(axis=0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,12 +5,131 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import softmax
 
-from pymc_features.smc.proposals.ascent import climb, curvature
-from pymc_features.smc.proposals.fitted import Unbent
-from pymc_features.smc.proposals.mixture import log_sum
-from pymc_features.smc.proposals.proposal import Mixture, StudentT
+from pymc_features.smc.proposals.proposal import Mixture, StudentT, log_sum
 from pymc_features.smc.proposals.transport import Stretch, Transport, fit_transport
+from pymc_features.smc.proposals.unbending import Unbent
+
+MEMORY = 10  # steps that the inverse Hessian is built from
+MAX_ITERATIONS = 200
+MAX_HALVINGS = 12
+LONGEST = 2.0  # of the first step and, times the number of iterations, of others
+SMALL_GAIN = 0.03  # in the log-density, over three iterations: a quarter of a standard deviation away
+ARMIJO = 1e-4
+
+
+def climb(
+    density: Callable,
+    starts: np.ndarray,
+    arrived: Callable,
+    small_gain: float = SMALL_GAIN,
+    iterations: int = MAX_ITERATIONS,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Climb from all starts together: L-BFGS with backtracking.
+
+    Nocedal & Wright, Numerical Optimization, 2006, section 7.2.
+
+    Parameters
+    ----------
+    density : callable
+        Log-density (n,) and its gradient (n, d) at points (n, d), of coordinates of about unit scale.
+    starts : array (n, d)
+    arrived : callable
+        Whether points (n, d) are where no climb need go on, array (n,).
+    small_gain : float
+        In the log-density, over three iterations, at which a climb ends.
+    iterations : int
+        At most.
+
+    Returns
+    -------
+    x, value : array (n, d) and (n,)
+        Where each climb ended; one that starts where the density is zero stays.
+    """
+    x = starts.copy()
+    value, slope = density(x)
+    n, d = x.shape
+    steps, changes, n_kept = np.zeros((n, MEMORY, d)), np.zeros((n, MEMORY, d)), np.zeros(n, dtype=int)
+    going = value > -np.inf
+    last = np.full((3, n), -np.inf)
+    for iteration in range(iterations):
+        rows = np.flatnonzero(going)
+        if not len(rows):
+            break
+        direction = ascent_direction(slope[rows], steps[rows], changes[rows], n_kept[rows])
+        longest = LONGEST * (1.0 + iteration)
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
+        direction *= np.minimum(1.0, longest / np.maximum(length, 1e-300))
+        y, new_value, new_slope = line_search(density, x[rows], value[rows], slope[rows], direction)
+        s, c = y - x[rows], slope[rows] - new_slope
+        useful = (s * c).sum(axis=1) > 1e-10 * np.linalg.norm(s, axis=1) * np.linalg.norm(c, axis=1)
+        for history, new in ((steps, s), (changes, c)):  # the newest pair last
+            history[rows[useful], :-1] = history[rows[useful], 1:]
+            history[rows[useful], -1] = new[useful]
+        # from a straight or hollow stretch, begin anew with the gradient
+        n_kept[rows] = np.where(useful, np.minimum(n_kept[rows] + 1, MEMORY), 0)
+        x[rows], value[rows], slope[rows] = y, new_value, new_slope
+        going[rows] = (new_value - last[0, rows] > small_gain) & ~arrived(y)
+        last[:, rows] = np.vstack([last[1:, rows], new_value[None]])
+    return x, value
+
+
+def ascent_direction(slope, steps, changes, n_kept):
+    """Two-loop recursion for each row: inverse Hessian times gradient (n, d)."""
+    q = slope.copy()
+    n, memory, _ = steps.shape
+    products = (steps * changes).sum(axis=2)
+    used = np.arange(memory)[None] >= memory - n_kept[:, None]
+    inverse = np.where(used, 1.0 / np.where(used, products, 1.0), 0.0)
+    alphas = np.zeros((n, memory))
+    for i in reversed(range(memory)):
+        alphas[:, i] = inverse[:, i] * (steps[:, i] * q).sum(axis=1)
+        q -= alphas[:, i, None] * changes[:, i]
+    newest = changes[:, -1]
+    scale = np.where(n_kept > 0, products[:, -1] / np.maximum((newest**2).sum(axis=1), 1e-300), 0.0)
+    first = 1.0 / np.maximum(np.linalg.norm(slope, axis=1), 1.0)
+    q *= np.where(n_kept > 0, scale, first)[:, None]
+    for i in range(memory):
+        beta = inverse[:, i] * (changes[:, i] * q).sum(axis=1)
+        q += (alphas[:, i] - beta)[:, None] * steps[:, i]
+    return q
+
+
+def line_search(density, x, value, slope, direction):
+    """Halve each step until it gains enough; rows that find nothing stay."""
+    gain = ARMIJO * (slope * direction).sum(axis=1)
+    length = np.ones(len(x))
+    best, best_value, best_slope = x.copy(), value.copy(), slope.copy()
+    open_rows = np.arange(len(x))
+    for _ in range(MAX_HALVINGS):
+        y = x[open_rows] + length[open_rows, None] * direction[open_rows]
+        new_value, new_slope = density(y)
+        good = new_value >= value[open_rows] + length[open_rows] * gain[open_rows]
+        found = open_rows[good]
+        best[found], best_value[found], best_slope[found] = y[good], new_value[good], new_slope[good]
+        open_rows = open_rows[~good]
+        if not len(open_rows):
+            break
+        length[open_rows] *= 0.25
+    return best, best_value, best_slope
+
+
+def curvature(density: Callable, x: np.ndarray) -> np.ndarray:
+    """Minus the Hessian (d, d) at a point (d,), by central differences of the gradient.
+
+    The steps suit the density: a tenth of each conditional standard deviation, found with small ones.
+    """
+    steps = np.full(len(x), 1e-4)
+    for _ in range(2):
+        ends = np.concatenate([x + np.diag(steps), x - np.diag(steps)])
+        slopes = density(ends)[1].reshape(2, len(x), len(x))
+        hessian = (slopes[1] - slopes[0]) / (2.0 * steps[:, None])
+        diagonal = np.diag(hessian)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            steps = np.where(diagonal > 0.0, np.clip(0.1 / np.sqrt(diagonal), 1e-7, 0.1), 1e-3)
+    return 0.5 * (hessian + hessian.T)
+
 
 WAVE, CANDIDATES = 8, 10  # climbs at a time, each from the best of so many draws from the prior
 CLIMBS_PER_MODE, MORE_CLIMBS, MOST_WAVES = 8, 1.5, 10  # for each mode found; if climbs are cheap, more
@@ -31,6 +150,47 @@ MINOR = 0.02  # share of the modes' evidence below which a mode is not bent
 def good_share(n_parameters: int) -> float:
     """Effective share of a reference's draws, or a fit's, above which another fit does not pay."""
     return GOOD_FEW if n_parameters < MANY else GOOD_MANY
+
+
+class Density:
+    """Log posterior density of a model on the unconstrained scale, whose evaluations are counted.
+
+    Parameters
+    ----------
+    logp : PopulationLogp
+    draw_prior : callable
+        Draws (n, d) from the prior for a number n.
+    journal : Journal, optional
+        Remembers each evaluation.
+    """
+
+    def __init__(self, logp, draw_prior: Callable, journal=None):
+        self.logp, self.draw_prior, self.journal = logp, draw_prior, journal
+        self.has_gradient, self.n_values, self.n_gradients = logp.has_gradient, 0, 0
+
+    def values(self, x):
+        """Log-density (n,) at points (n, d)."""
+        self.n_values += len(x)
+        prior, likelihood, _ = self.journal.evaluate(self.logp, x) if self.journal else self.logp(x)
+        return prior + likelihood
+
+    def gradients(self, x):
+        """Log-density (n,) at points (n, d), and its gradient (n, d)."""
+        self.n_gradients += len(x)
+        function = self.logp.gradient
+        parts = self.journal.evaluate(function, x, 2) if self.journal else function(x)
+        prior, likelihood, _, *slopes = parts
+        return prior + likelihood, np.add(*slopes)
+
+
+def in_units(gradients: Callable, centre, scale) -> Callable:
+    """Log-density (n,) and its gradient (n, d) by coordinates (x - centre) / scale."""
+
+    def scaled(u):
+        value, slope = gradients(centre + scale * u)
+        return value, slope * scale
+
+    return scaled
 
 
 class Mode(NamedTuple):
@@ -102,14 +262,12 @@ class Reference:
 
     def mode_shares(self) -> np.ndarray:
         """Share (k,) of each mode in the evidence of all, by Laplace's approximation."""
-        log_weights = np.array([mode.log_evidence for mode in self.modes])
-        weights = np.exp(log_weights - log_weights.max())
-        return weights / weights.sum()
+        return softmax([mode.log_evidence for mode in self.modes])
 
-    def bent(self, evaluate: Callable, gradient: Callable, rng: np.random.Generator) -> "Reference":
+    def bent(self, density: Density, rng: np.random.Generator) -> "Reference":
         """Add maps that follow the posterior's bends, where its modes are no Gaussians.
 
-        With fewer than `MANY` parameters it stays as it is. `evaluate` and `gradient` as of `find_reference`.
+        With fewer than `MANY` parameters it stays as it is.
         """
         if len(self.centre) < MANY:
             return self
@@ -118,7 +276,9 @@ class Reference:
             variances, vectors = np.linalg.eigh(mode.factor @ mode.factor.T)
             axes = (vectors * np.sqrt(np.maximum(variances, 1e-16 * variances[-1])))[:, ::-1]
             start = Transport((Stretch(self.centre + self.scale * mode.x, self.scale[:, None] * axes),))
-            end = fit_transport(evaluate, gradient, start, rng) if share > MINOR else start
+            end = start
+            if share > MINOR:
+                end = fit_transport(density.values, density.gradients, start, rng)
             maps.append(None if end is start else end)
         return Reference(self.modes, self.centre, self.scale, maps)
 
@@ -155,44 +315,32 @@ class Reference:
         return np.array([self.centre + self.scale * mode.x for mode in self.modes])
 
 
-def find_reference(
-    evaluate: Callable, gradient: Callable, draw_prior: Callable, effort: int
-) -> Reference | None:
+def find_reference(density: Density, effort: int) -> Reference | None:
     """Climb from draws of the prior to the modes of the posterior; None if there is no proper one.
 
     Parameters
     ----------
-    evaluate, gradient : callable
-        Log-posterior density (n,) at points (n, d), and that with its gradient (n, d).
-    draw_prior : callable
-        Draws (n, d) for a number n.
+    density : Density
+        That has not been evaluated yet.
     effort : int
         Gradients to spend on the search for more modes than the first climbs find.
     """
-    candidates = draw_prior(WAVE * CANDIDATES)
+    candidates = density.draw_prior(WAVE * CANDIDATES)
     centre, scale = candidates.mean(axis=0), candidates.std(axis=0)
     if not (np.isfinite(centre).all() and np.isfinite(scale).all() and (scale > 0).all()):
         return None
-    spent = 0
-
-    def scaled(u):
-        nonlocal spent
-        spent += len(u)
-        value, slope = gradient(centre + scale * u)
-        return value, slope * scale
-
-    modes: list[Mode] = []
+    scaled, modes = in_units(density.gradients, centre, scale), []
     for wave in range(1, MOST_WAVES + 1):
-        values = evaluate(candidates).reshape(WAVE, CANDIDATES)
+        values = density.values(candidates).reshape(WAVE, CANDIDATES)
         best = values.argmax(axis=1) + CANDIDATES * np.arange(WAVE)
         starts = (candidates[best] - centre)[values.max(axis=1) > -np.inf] / scale
         modes = with_ends(modes, scaled, *climb(scaled, starts, partial(are_known, modes)))
         # ends on slopes are no reason to go on for long: there may be any number of them
         n_maxima = sum(mode.is_maximum for mode in modes)
-        enough = max(n_maxima, 1) if spent > effort else MORE_CLIMBS * (len(modes) + 1)
+        enough = max(n_maxima, 1) if density.n_gradients > effort else MORE_CLIMBS * (len(modes) + 1)
         if WAVE * wave >= CLIMBS_PER_MODE * enough:
             break
-        candidates = draw_prior(WAVE * CANDIDATES)
+        candidates = density.draw_prior(WAVE * CANDIDATES)
     modes = with_maxima(modes, scaled)
     top = max((mode.log_evidence for mode in modes), default=0.0)
     modes = [mode for mode in modes if mode.log_evidence > top - NEGLIGIBLE]

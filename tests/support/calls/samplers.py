@@ -35,7 +35,7 @@ SEEDS = {"None", "0"}
 
 def no_prior(model, from_prior):
     """In place of the function that draws from the prior."""
-    return lambda n, rng: [np.zeros((n, *np.shape(rv.type.shape))) for rv in model.free_RVs]
+    return lambda n, rng: {v.name: np.zeros((n, *np.shape(v.type.shape))) for v in model.value_vars}
 
 
 def no_density(*args):
@@ -53,7 +53,7 @@ KERNEL = {
     "checkpoint": None,
 }
 INSTEAD = {
-    "pymc_features.smc.kernels.base.Checkpoint": work,
+    "pymc_features.smc.kernels.base.model_fingerprint": work,
     "pymc_features.smc.kernels.base.prior_draws": no_prior,
     "pymc_features.smc.kernels.base.population_logp": no_density,
     "pymc_features.smc.kernels.subset.population_logp": no_density,
@@ -93,7 +93,7 @@ def kernel(of, **more):
 
 RUN = {"draws": 100, "chains": 2, "cores": 1, "random_seed": 1, "checkpoint": None, "progressbar": False}
 RUN |= {"executor": None}
-WORKERS = {"pymc_features.smc.workers.workers.open_executor": work}
+WORKERS = {"pymc_features.smc.workers.open_executor": work}
 
 CALLS = {
     "PersistentSMC": kernel(pmf.PersistentSMC, reference=None, gradients=False, stage_draws=None),

@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 import cloudpickle
 import numpy as np
@@ -67,24 +66,6 @@ def parts_of(n: int, unit: int, least: int, places: int | None) -> list[tuple[in
     return parts
 
 
-class PartResult(NamedTuple):
-    """What comes back of a part.
-
-    Attributes
-    ----------
-    outputs : list of array (p, ...)
-        As from `RowFunction`.
-    last_error : str
-        What the model raised last; empty if nothing did.
-    warned : list of tuple (type, str)
-        Warnings of this package.
-    """
-
-    outputs: list
-    last_error: str
-    warned: list
-
-
 class ModelPart:
     """The evaluation of a model on a worker.
 
@@ -99,15 +80,18 @@ class ModelPart:
     def __init__(self, logp: PopulationLogp):
         self.logp = logp
 
-    def __call__(self, which: str, particles: np.ndarray | None) -> PartResult | None:
-        """Raw outputs of `values` or `slopes` of particles (p, d); none only loads the model."""
+    def __call__(self, which: str, particles: np.ndarray | None) -> tuple[list, str, list] | None:
+        """Raw outputs of `values` or `slopes` of particles (p, d); without any it only loads the model.
+
+        Besides, what the model raised last, empty if nothing did, and types and texts of our warnings.
+        """
         if particles is None:
             return None
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             outputs = getattr(self.logp, which)(particles)
-        told = [(w.category, str(w.message)) for w in caught if is_ours(w.category)]
-        return PartResult(outputs, self.logp.last_error, told)
+        ours = [w for w in caught if w.category.__module__.partition(".")[0] == "pymc_features"]
+        return outputs, self.logp.last_error, [(w.category, str(w.message)) for w in ours]
 
     def __setstate__(self, state):
         self.__dict__.update(state)
@@ -115,11 +99,6 @@ class ModelPart:
             for function in (self.logp.values, self.logp.slopes):
                 if function is not None:
                     function(self.logp.start)
-
-
-def is_ours(category: type) -> bool:
-    """Whether a warning is one of this package."""
-    return category.__module__.partition(".")[0] == "pymc_features"
 
 
 @contextmanager
@@ -202,16 +181,24 @@ def open_workers(executor) -> Iterator[Workers | None]:
 class Run:
     """The evaluations of some chains on workers, which end together.
 
+    Populations are evaluated in parts, bit for bit as in one process. One that is not worth a message is
+    evaluated here, and so is the beginning of one until the first worker has loaded the model, which takes
+    seconds. How long a particle takes is measured, and decides how many particles a part has; where a
+    population is cut makes no difference to its results.
+
     Parameters
     ----------
     workers : Workers
     """
 
     def __init__(self, workers: Workers):
-        self.workers, self.stopped, self.spreads = workers, False, {}
+        self.workers, self.stopped = workers, False
+        self.works: dict[tuple[str, bool], Work] = {}  # by model, and whether it has got a gradient
+        self.seconds: dict[tuple[str, str], float] = {}  # of a particle, by model and function
+        self.loading: dict[str, list] = {}  # futures by digest
 
     def of(self, logp: PopulationLogp) -> PopulationLogp:
-        """Return the evaluation by the workers; one for all chains.
+        """Return the evaluation by the workers.
 
         Raises
         ------
@@ -228,9 +215,7 @@ class Run:
                 "`executor` must be left out for a model with random draws inside (`noise`), for they would "
                 "not be the same again. Sample it without, or infer the noise by a likelihood."
             )
-        if logp.token not in self.spreads:
-            self.spreads[logp.token] = Spread(self)
-        return logp.spread_over(self.spreads[logp.token])
+        return logp.spread_over(self)
 
     def stop(self):
         """Let evaluations under way end with an error, in whichever thread."""
@@ -241,56 +226,40 @@ class Run:
         if self.stopped:
             raise NoWorkersError("`executor` must be open, got one whose run was stopped. Start again.")
 
-
-class Spread:
-    """Evaluates the populations of one model in parts, bit for bit as in one process.
-
-    A population that is not worth a message is evaluated here, and so is the beginning of one until the first
-    worker has loaded the model, which takes seconds. How long a particle takes is measured, and decides how
-    many particles a part has; where a population is cut makes no difference to its results.
-
-    Parameters
-    ----------
-    run : Run
-    """
-
-    def __init__(self, run: Run):
-        self.run, self.workers, self.works = run, run.workers, {}
-        self.seconds: dict[str, float] = {}  # of a particle
-        self.loading: dict[str, list] = {}  # futures by digest
-
     def __call__(self, logp: PopulationLogp, which: str, particles: np.ndarray) -> list[np.ndarray]:
         """Raw outputs of `values` or `slopes` of particles (p, d)."""
         function, outputs = getattr(logp, which), []
         if not len(particles):
             return function(particles)
         while len(particles):
-            self.run.check()
-            count = self.count_here(function.unit, which, len(particles), logp)
+            self.check()
+            count = self.count_here(logp, which, len(particles))
             if not count:
                 outputs.append(self.elsewhere(logp, which, particles))
                 break
-            outputs.append(self.here(function, which, particles[:count]))
+            start = time.thread_time()
+            outputs.append(function(particles[:count]))
+            self.learn(logp, which, (time.thread_time() - start) / count)
             particles = particles[count:]
         return [np.concatenate(column) for column in zip(*outputs, strict=True)]
 
-    def count_here(self, unit, which, n, logp) -> int:
+    def count_here(self, logp, which, n) -> int:
         """How many of n particles are evaluated in this process before one looks again; none, if all go."""
-        few = unit  # a first group tells how long one takes
-        if which in self.seconds:
-            if len(self.cut(unit, which, n)) == 1:
+        unit = few = getattr(logp, which).unit  # a first group tells how long one takes
+        if seconds := self.seconds.get((logp.token, which)):
+            if len(self.cut(logp, which, n)) == 1:
                 return n
             if self.some_are_ready(self.work(logp)):
                 return 0
-            few *= max(1, int(WHILE_WAITING / self.seconds[which] / unit))
+            few *= max(1, int(WHILE_WAITING / seconds / unit))
         return few if n >= few + unit else n
 
-    def cut(self, unit, which, n):
+    def cut(self, logp, which, n):
         """Parts of a population of n particles; one if they are not worth a message."""
         executor = self.workers.executor
         worth = HERE if isinstance(executor, LocalExecutor) else ELSEWHERE
-        least = int(min(worth / self.seconds[which], n)) + 1
-        return parts_of(n, unit, least, getattr(executor, "places", None))
+        least = int(min(worth / self.seconds[logp.token, which], n)) + 1
+        return parts_of(n, getattr(logp, which).unit, least, getattr(executor, "places", None))
 
     def some_are_ready(self, work):
         """Whether a worker has loaded the model; all are asked to, the first time."""
@@ -302,55 +271,48 @@ class Spread:
             ]
         return any(future.done() for future in self.loading[work.digest])
 
-    def here(self, function, which, particles):
-        """Evaluate in this process."""
-        start = time.thread_time()
-        outputs = function(particles)
-        self.learn(which, (time.thread_time() - start) / len(particles))
-        return outputs
-
-    def learn(self, which, seconds):
+    def learn(self, logp, which, seconds):
         """Take in how long a particle took."""
-        known = self.seconds.get(which, seconds)
-        self.seconds[which] = max(FORGETS * seconds + (1.0 - FORGETS) * known, 1e-9)
+        known = self.seconds.get((logp.token, which), seconds)
+        self.seconds[logp.token, which] = max(FORGETS * seconds + (1.0 - FORGETS) * known, 1e-9)
 
     def elsewhere(self, logp, which, particles):
         """Evaluate by the workers, and put the parts together."""
-        parts = self.cut(getattr(logp, which).unit, which, len(particles))
+        parts = self.cut(logp, which, len(particles))
         results, seconds = [None] * len(parts), 0.0
 
         def done(k, outcome):
             nonlocal seconds
-            self.run.check()
+            self.check()
             if outcome.state != "ok":
                 refuse(outcome)
-            results[k] = outcome.value.outputs
+            results[k], last_error, warned = outcome.value
             seconds += outcome.seconds
-            if outcome.value.last_error:
-                getattr(logp, which).raised = outcome.value.last_error
-            self.workers.tell(outcome.value.warned)
+            if last_error:
+                getattr(logp, which).raised = last_error
+            self.workers.tell(warned)
 
         calls = [(k, (which, np.ascontiguousarray(particles[i:j]))) for k, (i, j) in enumerate(parts)]
         try:
-            Batch(self.workers.executor, self.work(logp), done, self.run.check).run(calls)
+            Batch(self.workers.executor, self.work(logp), done, self.check).run(calls)
         except UnusableSimulatorError as error:
             raise NoWorkersError(
                 f"`executor` must have workers that can load the model, got {error.reason}. Install there "
                 "what is installed here, in the same versions, or define what the model calls in a module."
             ) from error
-        self.learn(which, seconds / len(particles))
+        self.learn(logp, which, seconds / len(particles))
         return [np.concatenate(column) for column in zip(*results, strict=True)]
 
     def work(self, logp) -> Work:
         """The model as it travels; anew when it has got a gradient."""
-        has_slopes = logp.slopes is not None
+        key = logp.token, logp.slopes is not None
         with ONE_CALL:  # what is pickled is not to be in use
-            if has_slopes not in self.works:
+            if key not in self.works:
                 part = ModelPart(logp)
                 payload = cloudpickle.dumps({"function": part, "shape": None, "scratch": None})
                 digest = f"{self.workers.owner}/{hashlib.sha256(payload).hexdigest()}"
-                self.works[has_slopes] = Work(digest, payload, None, ATTEMPTS - 1)
-            return self.works[has_slopes]
+                self.works[key] = Work(digest, payload, None, ATTEMPTS - 1)
+            return self.works[key]
 
 
 def refuse(outcome):

@@ -1,1 +1,0 @@
-"""Populations, and chains, on several processes or a cluster."""
