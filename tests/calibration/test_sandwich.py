@@ -10,6 +10,7 @@ from pymc_features.calibration.sandwich import (
     Peak,
     error_model,
     sentence,
+    taken,
 )
 
 N_SENSORS, N_TIMES, DT = 4, 600, 0.02
@@ -75,6 +76,21 @@ def test_mean_of_a_process_of_first_order(phi):
     r = x - x.mean()
     n_eff = n * (r**2).sum() / error_model(r, np.ones((1, n, 1)), None).variability[0, 0]
     assert n_eff == pytest.approx(n * (1 - phi) / (1 + phi), rel=0.05)
+
+
+def test_what_a_fit_takes():
+    """Of a wave on two lines of the spectrum, each line decides half: its residual is doubled.
+
+    One that a single line decides is multiplied by ten at most; orthogonal residuals stay as they are.
+    """
+    n = 200
+    t = 2.0 * np.pi * np.arange(n) / n
+    wave = np.cos(5.0 * t) + np.cos(9.0 * t)
+    errors = np.cos(5.0 * t)[None] + 0.3 * np.sin(5.0 * t) + 0.2 * np.cos(30.0 * t)
+    unit = (wave / np.linalg.norm(wave))[None, :, None]
+    np.testing.assert_allclose(taken(errors, unit)[0], np.cos(5.0 * t), atol=1e-12)
+    alone = np.cos(5.0 * t)[None, :, None] * np.sqrt(2.0 / n)
+    np.testing.assert_allclose(taken(errors, alone)[0], 10.0 * np.cos(5.0 * t), atol=1e-12)
 
 
 def gaps_of(kind):
