@@ -1,7 +1,7 @@
 """No argument, however odd, ends in a message of NumPy, PyTensor or Python, or in a silent wrong result.
 
-A function of each kind of check is called with each argument replaced in turn by each of a dozen odd
-values. Each is taken, where the tables say so, or refused by a sentence of this package that names the
+A function of each kind of check is called with each argument replaced in turn by each of eight odd
+values. Each is taken, where the table says so, or refused by a sentence of this package that names the
 argument.
 """
 
@@ -10,10 +10,8 @@ import pytest
 
 import pymc_features as pmf
 from support.border import Call, fate, wrong
-from support.calls import events, files, likelihoods, modal, results, samplers, structures
+from support.calls import CALLS
 
-TABLES = (structures, likelihoods, files, modal, samplers, results, events)
-CALLS = {name: call for table in TABLES for name, call in table.CALLS.items()}
 CASES = [(name, argument) for name, call in CALLS.items() for argument in call.arguments]
 
 
@@ -24,7 +22,7 @@ def test_odd_argument(name, argument):
 
 
 def test_calls_work():
-    """With the values of the tables themselves: what is refused is refused for the odd one."""
+    """With the values of the table itself: what is refused is refused for the odd one."""
     for name, call in CALLS.items():
         argument = next(iter(call.arguments))
         assert fate(call, argument, call.arguments[argument]) == "taken", name

@@ -13,11 +13,9 @@ import pymc_features as pmf
 from benchmarks import truth
 from benchmarks.coverage.bounds import LOWEST, PLACES, bounded, coverage, declare, exact, fitted, true_sd
 from benchmarks.coverage.errors import LEVEL, measurements
-from calibration.test_sandwich import errors_of, regression
 from pymc_features.calibration.maxima import climb_likelihood
-from pymc_features.calibration.residuals import Coordinates, Predictions, bounds_of
+from pymc_features.calibration.residuals import Predictions, bounds_of
 from pymc_features.calibration.sandwich import Peak
-from pymc_features.calibration.stretched import CutNormal, curved
 from pymc_features.exceptions import CalibrationWarning
 from pymc_features.inference.parameters import Unconstrained, to_unconstrained
 
@@ -123,26 +121,6 @@ def test_two_bounds_that_the_data_are_beyond():
     assert best < np.median(some) < 1.5 * best
 
 
-def test_curvature_beside_a_bound():
-    """The curvature along other parameters changes what they leave of the bounded one by nothing.
-
-    Responses to both differ by a twentieth, so that A is singular if a thousandth of it goes astray.
-    """
-    one, other = np.moveaxis(regression(), -1, 0)
-    errors = 0.03 * errors_of("persistent", np.random.default_rng(1), None)
-    with pm.Model() as model:
-        first, second = pm.Uniform("first", 0.0, 1.0), pm.Normal("second", 0.0, 0.2)
-        mu = first * one + pm.math.exp(3.0 * second) / 3.0 * (one + 0.05 * other)
-        pm.Normal("y", mu, pm.HalfNormal("sigma", 1.0), observed=one + (one + 0.05 * other) / 3.0 + errors)
-    predictions = Predictions(model)
-    peak = Peak.at(climb_likelihood(predictions, np.array([2.0, 0.0, -2.0])))
-    before = Peak.at(peak.fit.measured_from_bounds(np.array([True, False, False])))
-    matrices = [p.information for p in (before, curved(predictions, before)[0])]
-    assert abs(matrices[1][1, 1] / matrices[0][1, 1] - 1.0) > 1e-3
-    alone = [np.linalg.inv(m)[0, 0] for m in matrices]
-    np.testing.assert_allclose(alone[1], alone[0], rtol=1e-6)
-
-
 @pytest.mark.slow
 def test_draws_that_do_not_explain_the_data_are_refused():
     """A sigma whose prior is far below what any structure of the prior leaves over."""
@@ -187,22 +165,3 @@ def test_bounds_of_priors():
     inf = np.inf
     np.testing.assert_allclose(low, [0.0, 0.0, 1.0, -1.0, -inf, 0.0, -inf, -inf, -inf, 0.0])
     np.testing.assert_allclose(high, [inf, 2.0, 3.0, inf, 4.0, 1.0, inf, inf, inf, 5.0])
-
-
-def test_normal_distributions_that_are_cut():
-    """A map to standard normal numbers, on both sides and far out, and back; its density by differences."""
-    mean = np.array([0.2, -3.0, 1.2, 0.5, -0.3])
-    factor = np.diag([0.5, 0.8, 0.1, 0.3, 0.02])
-    factor[3, 0], factor[0, 1:3], factor[3, [2, 4]] = 0.2, (0.32, 0.01), (0.02, -0.006)
-    sides, near = np.array([0, 1, 2, 1, 2]), np.array([False, True, True, False, True])
-    coordinates = Coordinates(sides, near, np.array([0.4, -1.9, 1.6, 0.8, -3.9]))
-    cut = CutNormal(coordinates, mean, factor)
-    u = np.random.default_rng(1).normal(size=(200, 5))
-    z = cut.inverse(u)
-    back, log_density = cut.forward(z)
-    np.testing.assert_allclose(back, u, atol=1e-6)
-    ends = [[cut.inverse(u + sign * h) for h in 1e-5 * np.eye(5)] for sign in (1.0, -1.0)]
-    slopes = np.subtract(*ends).swapaxes(0, 1) / 2e-5  # (point, of u, of z)
-    np.testing.assert_allclose(-np.linalg.slogdet(slopes)[1], log_density, atol=1e-5)
-    far = cut.inverse(np.array([[0.0, 9.0, 9.0, 0.0, 9.0], [0.0, -9.0, -9.0, 0.0, -9.0]]))
-    assert np.isfinite(far).all()

@@ -67,22 +67,6 @@ def test_the_maximum_is_found_where_residuals_are_large(seed):
     assert all(log_likelihood(predictions(fit.z + step)) < best for step in steps)
 
 
-@pytest.mark.parametrize("claimed", [2.0, 500.0])
-def test_derivatives_are_taken_twice_near_the_maximum(claimed):
-    """Of white noise: a prediction for each of three parameters at the start, two near the maximum.
-
-    The maximum is that of a new climb from there, to a thousandth of a width of independent samples.
-    """
-    predictions = Ringing(0, claimed)
-    noise = 0.1 * np.random.default_rng(1).standard_normal((1, TIME.size))
-    predictions.observed = ringing(3.0, 0.004)[None] + noise
-    fit = climb_likelihood(predictions, np.log((3.0005, 0.0042, 0.11)))
-    assert fit.n_evaluations <= 1 + 3 + 6 + 8
-    width = np.sqrt(np.diag(np.linalg.inv(fit.information)) * claimed / TIME.size)
-    again = climb_likelihood(predictions, fit.z)
-    np.testing.assert_allclose(again.z / width, fit.z / width, atol=1e-3)
-
-
 @pytest.mark.parametrize("seed", [0, 9])
 def test_curvature_does_not_depend_on_how_parameters_are_mixed(seed):
     """Correlated to 0.9999, they have the curvature of the uncorrelated ones.

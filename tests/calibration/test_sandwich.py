@@ -8,9 +8,7 @@ from scipy.signal import lfilter
 from pymc_features.calibration.residuals import Comparison, Fit
 from pymc_features.calibration.sandwich import (
     Peak,
-    burg,
     error_model,
-    memory,
     sentence,
     taken,
 )
@@ -78,16 +76,6 @@ def test_mean_of_a_process_of_first_order(phi):
     r = x - x.mean()
     n_eff = n * (r**2).sum() / error_model(r, np.ones((1, n, 1)), None).variability[0, 0]
     assert n_eff == pytest.approx(n * (1 - phi) / (1 + phi), rel=0.05)
-
-
-def test_filter_of_a_process_of_second_order():
-    """Burg's method finds a resonance, its order and its time constant."""
-    rng, radius, angle = np.random.default_rng(2), 0.98, 0.3
-    truth = np.array([1.0, -2 * radius * np.cos(angle), radius**2])
-    filters, variances = burg(lfilter([1.0], truth, rng.standard_normal((1, 20_000)), axis=1), 4)
-    np.testing.assert_allclose(filters[0, 2, :3], truth, atol=0.01)
-    assert variances[0, 2] < 0.1 * variances[0, 1]
-    assert memory(truth[None]) == pytest.approx(-1 / np.log(radius), rel=1e-6)
 
 
 def test_what_a_fit_takes():

@@ -11,8 +11,6 @@ from scipy.io import savemat
 
 from pymc_features import read_channels, read_record
 from pymc_features.exceptions import ChannelWarning
-from pymc_features.io.channels import _aligned
-from pymc_features.io.reading.recording import Channel, even_clock
 from pymc_features.signals import check_channels
 from support.matlab_files import save_v73
 from support.refusals import refusals
@@ -251,13 +249,7 @@ MATLAB_REFUSED = {  # what is said: what is given
     "`columns` must be one of the channels of frame.mat": ({"a": MOTION[0], "dt": 0.02}, {"columns": "x"}),
     "`clock` must be one of the columns of frame.mat": ({"a": MOTION[0]}, {"clock": "x"}),
     "`t` must have one time for each sample, got 5 beside a": ({"a": MOTION[0], "t": np.arange(5.0)}, {}),
-    "`dt` must be given, frame.mat does not state": ({"a": MOTION[0]}, {}),
     r"time must be the longer side of a matrix, got shape \(4, 4\)": ({"a": MOTION[:4, :4], "dt": 0.1}, {}),
-    r"frame.mat, a: no samples may be missing, 80 are, the first after 0 s .nan": (
-        {"a": MOTION[0] * np.nan, "dt": 0.1},
-        {},
-    ),
-    "contradicts itself, it states a step of 0.1 s and its": ({"a": MOTION[0, :N], "t": TIME, "dt": 0.1}, {}),
     "must hold histories of at least 2 samples": ({"a": MOTION[0], "dt": 0.1}, {"skip": 79}),
     "`t`, sample 30: no": ({"a": MOTION[0, :N], "t": np.delete(0.02 * np.arange(N + 2), [30, 31])}, {}),
 }
@@ -497,42 +489,6 @@ def test_copies(tmp_path):
     files["floor2"].write_bytes(files["floor1"].read_bytes())
     [message] = messages(lambda: read(files))
     assert message.startswith("Channels 'floor1' and 'floor2' are identical to the last bit")
-
-
-# --- clocks by themselves -----------------------------------------------------------------------
-
-
-def test_even_step_of_printed_times():
-    step, numbers = even_clock(np.round(np.arange(50) / 12.0, 2), str, 0.01, gaps=False)
-    assert step == pytest.approx(1 / 12.0, rel=1e-2)
-    np.testing.assert_array_equal(numbers, np.arange(50))
-    with pytest.raises(ValueError, match="^5: no samples may be missing, 1 are"):
-        even_clock(np.delete(0.1 * np.arange(9), 5), str, 0.0, gaps=False)
-    for gaps in (False, True):
-        with pytest.raises(ValueError, match="time steps must be even"):
-            even_clock(np.array([0.0, 0.1, 0.2, 0.35, 0.4]), str, 0.0, gaps)
-
-
-def test_numbers_of_the_samples_that_are_there():
-    """Of printed times, too, where no step is exactly even; more than half must be there."""
-    for there in (np.delete(np.arange(60), [7, 8, 9, 30]), np.r_[0:20, 45:60]):
-        for decimals in (2, 12):
-            times = np.round(3.0 + there / 12.0, decimals)
-            step, numbers = even_clock(times, str, 10.0**-decimals, gaps=True)
-            assert step == pytest.approx(1 / 12.0, rel=1e-3)
-            np.testing.assert_array_equal(numbers, there)
-    with pytest.raises(ValueError, match="^20: no samples may be missing, 25 are"):
-        even_clock(np.r_[0:20, 45:46] / 12.0, str, 0.0, gaps=True)
-    with pytest.raises(ValueError, match="time steps must be even"):  # a clock that slips by 0.4 of a step
-        even_clock(np.r_[0:20, 30.4:60] / 12.0, str, 0.0, gaps=True)
-
-
-def test_slow_drift_of_clocks():
-    """Half a sample over the record is the limit."""
-    first, second = (Channel(name, np.zeros(1000), dt=0.01, start=0.0) for name in "ab")
-    assert _aligned([first, second._replace(dt=0.01 * (1 + 4e-4))])[0].shape == (2, 1000)
-    with pytest.raises(ValueError, match="the step is 0.01 s in a and 0.010006 s in b"):
-        _aligned([first, second._replace(dt=0.01 * (1 + 6e-4))])
 
 
 # --- the shaking table, and broken copies of it -------------------------------------------------

@@ -17,24 +17,6 @@ def table(folder, head, form="{:.2f},{:.9f},{:.9f}", rows=ROWS, scale=1.0):
     return folder / "a.csv"
 
 
-RIGHT = {  # header: SI units per unit of the two channels
-    "time [s],base [g],roof [mg]": (G, 1e-3 * G),
-    "t (s),base (Gal),roof (cm/s/s)": (0.01, 0.01),
-    "time_s,acc_x_mg,acc_y_ug": (1e-3 * G, 1e-6 * G),
-    "time,a,b\ns,m/s²,mm/s^2": (1.0, 1e-3),
-    "time,a,b\n[s],[m s-2],[in/s2]": (1.0, 0.0254),
-    "Time [s],ax [m/(s^2)],ay [ft/s^2]": (1.0, 0.3048),
-    "Zeit [s],Basis [m/s**2],Dach [µg]": (1.0, 1e-6 * G),
-    "time [s],a [m/s^{2}],b [m.s-2]": (1.0, 1.0),
-}
-
-
-@pytest.mark.parametrize("head", RIGHT)
-def test_units(tmp_path, head):
-    found = pmf.read_channels(table(tmp_path, head)).values
-    np.testing.assert_allclose(found, np.array(RIGHT[head])[:, None] * [A, B], rtol=1e-7, atol=1e-12)
-
-
 REFUSED = {  # what is said: header, settings
     "it states 'mm/s', a unit of velocity, beside units='g'": ("time [s],v [mm/s],b [mm/s]", {"units": "g"}),
     "it states 'mm', a unit of displacement": ("time [s],laser [mm],b [mm]", {}),

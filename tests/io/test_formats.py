@@ -329,23 +329,6 @@ def test_a_spoilt_byte_does_not_give_another_channel(tmp_path, name, old, new, m
         read_record(write(tmp_path, name, text.replace(old, new, 1)), column=0)
 
 
-@each_example
-def test_truncated_files_name_their_format(tmp_path, name):
-    lines = EXAMPLES[name].text.split("\n")
-    for kept in (2, 4, 12, len(lines) // 2 + 3, len(lines) - 4):
-        if name == "unam" and kept < 5 or name == "at2" and kept < 5:
-            continue  # nothing is left by which it could be known
-        with pytest.raises(ValueError, match=EXAMPLES[name].format_name):
-            read_record(write(tmp_path, name, "\n".join(lines[:kept])), column=0)
-
-
-@pytest.mark.parametrize("column", ["roof", 7, -1, 1.5, True])
-def test_channels_that_are_not_there(tmp_path, column):
-    error = ValueError if isinstance(column, int | str) and column is not True else TypeError
-    with pytest.raises(error, match="`column` must be"):
-        read_record(write(tmp_path, "nsmn"), column=column)
-
-
 def test_wrapped_is_for_text(tmp_path):
     with pytest.raises(ValueError, match="`wrapped` must be None for esm.ASC, got True. It is a ESM"):
         read_record(write(tmp_path, "esm"), wrapped=True)

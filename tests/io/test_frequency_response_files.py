@@ -282,26 +282,6 @@ def test_arguments_say_what_a_universal_file_leaves_open(tmp_path):
         read_frequency_response(other, units="m/s^2/N")
 
 
-def test_a_universal_file_that_is_cut(tmp_path):
-    path = universal(tmp_path / "a.uff", {})
-    lines = path.read_text().split("\n")
-    path.write_text("\n".join(lines[:-4]))
-    with pytest.raises(ValueError, match="a.uff .* must end in a line of -1, it does not. Fetch it again"):
-        read_frequency_response(path)
-    path.write_text("\n".join([*lines[:15], *lines[16:]]))
-    with pytest.raises(ValueError, match=r"a.uff, 5:\+z/3:-x: the 12 samples of its header must be there"):
-        read_frequency_response(path)
-
-
-def test_a_byte_too_many_among_binary_numbers(tmp_path):
-    path = universal(tmp_path / "a.uff", {"binary": 1})
-    raw = path.read_bytes()
-    middle = raw.index(np.float64(H[5].real).tobytes())
-    path.write_bytes(raw[:middle] + b"x" + raw[middle:])
-    with pytest.raises(ValueError, match=r"a.uff, 5:\+z/3:-x: binary numbers must be IEEE"):
-        read_frequency_response(path)
-
-
 @real_data
 def test_a_universal_file_of_an_analyser():
     """In Latin-1, with a ratio as its unit, and without nodes."""

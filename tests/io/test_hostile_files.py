@@ -19,33 +19,24 @@ SECONDS = 4.0
 N = 50_000  # characters of a crafted line
 
 CRAFTED = {
-    "opening brackets": "[" * N,
     "brackets without end": "a[" * (N // 2),
-    "bracket and blanks": "t [" + " " * N,
     "labels and blanks": "a " * 20 + "(" + " " * N,
-    "closed by the other": "a(b) " * (N // 5),
     "digits and a letter": "1" * N + "x",
-    "digits": "1" * N,
-    "words": "acceleration " * (N // 13),
-    "units": "units of " * (N // 9),
     "NPTS and blanks": "NPTS" + " " * N + "DT",
     "digits and commas": "1 , " * (N // 4) + "NPTS DT",
     "returns": "\r" * N + "x",
-    "signs": "-" * N,
-    "exponents": "1e" * (N // 2),
     "quotes": '"' * N,
-    "dates": "1/1/" * (N // 4),
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CRAFTED)
 @pytest.mark.parametrize("suffix", [".csv", ".at2"])
-@pytest.mark.parametrize("body", ["0.00,0.1\n0.02,0.2\n", ""], ids=["numbers", "bare"])
-def test_time_is_proportional_to_the_text(tmp_path, name, suffix, body):
+def test_time_is_proportional_to_the_text(tmp_path, name, suffix):
     """Twelve crafted lines above the numbers, which took minutes by regular expressions that go back."""
     path = tmp_path / f"crafted{suffix}"
-    path.write_text("\n".join(["title", *[CRAFTED[name]] * 12]) + "\n" + body, newline="")
+    text = "\n".join(["title", *[CRAFTED[name]] * 12, "0.00,0.1", "0.02,0.2", ""])
+    path.write_text(text, newline="")
     start = time.process_time()
     try:
         read_record(path, units="g", dt=0.02)
@@ -66,7 +57,7 @@ def peak_memory(action):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", ["1", "12", "x", ""])
+@pytest.mark.parametrize("line", ["1", ""])
 @pytest.mark.parametrize("suffix", [".csv", ".at2"])
 def test_memory_of_many_short_lines(tmp_path, line, suffix):
     """Lines of one or two characters take no more than forty times the file."""
@@ -286,31 +277,15 @@ def test_counts_that_no_file_holds(tmp_path):
 MANY = [f"variable{k}" for k in range(800)]
 
 
-def many_in_mat(path):
-    savemat(path, dict.fromkeys(MANY, "text"))
-
-
-def many_in_npz(path):
-    np.savez(path, **dict.fromkeys(MANY, np.array(["text"])))
-
-
-def many_in_csv(path):
-    path.write_text("\n".join([",".join(MANY), *[",".join(["1.0"] * len(MANY))] * 20]) + "\n")
-
-
-@pytest.mark.parametrize(
-    ("name", "write", "read"),
-    [
-        ("many.mat", many_in_mat, lambda path: read_record(path, units="g", dt=0.01)),
-        ("many.mat", many_in_mat, lambda path: read_channels(path, units="g", dt=0.01)),
-        ("many.mat", many_in_mat, read_matrices),
-        ("many.npz", many_in_npz, read_matrices),
-        ("many.csv", many_in_csv, lambda path: read_record(path, units="g", dt=0.01)),
-        ("many.csv", many_in_csv, lambda path: read_channels(path, columns="none", units="g", dt=0.01)),
-    ],
-)
-def test_messages_list_the_first_of_many_variables(tmp_path, name, write, read):
-    write(tmp_path / name)
+@pytest.mark.parametrize("suffix", ["mat", "npz", "csv"])
+def test_messages_list_the_first_of_many_variables(tmp_path, suffix):
+    path = tmp_path / f"many.{suffix}"
+    if suffix == "mat":
+        savemat(path, dict.fromkeys(MANY, "text"))
+    elif suffix == "npz":
+        np.savez(path, **dict.fromkeys(MANY, np.array(["text"])))
+    else:
+        path.write_text("\n".join([",".join(MANY), *[",".join(["1.0"] * len(MANY))] * 20]) + "\n")
     with pytest.raises(ValueError, match=r"variable0.*, \.\.\. 800 in all") as caught:
-        read(tmp_path / name)
+        read_matrices(path) if suffix == "npz" else read_record(path, units="g", dt=0.01)
     assert len(str(caught.value)) < 1500

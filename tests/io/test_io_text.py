@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pymc_features.io import read_channels, read_record
-from pymc_features.io.reading.labels import G, unit_factor
+from pymc_features.io.reading.labels import unit_factor
 from pymc_features.records import Record
 
 ACCELERATION = np.array([0.0, 0.1, -0.25, 0.05])
@@ -120,24 +120,6 @@ def test_el_centro_file(data_dir):
     np.testing.assert_allclose(record.acceleration, 9.81 * raw, rtol=1e-15)
 
 
-@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
-@pytest.mark.parametrize("header", [True, False])
-def test_round_trip_of_random_tables(tmp_path, separator, header):
-    rng = np.random.default_rng(11)
-    for form in ("%.18e", "%.12g", "%.9f"):
-        n_times, n_columns = int(rng.integers(2, 80)), int(rng.integers(3, 6))
-        dt, column = (float(rng.choice([0.001, 0.005, 1 / 120, 0.02])), int(rng.integers(1, n_columns)))
-        table = rng.normal(size=(n_times, n_columns))
-        table[:, 0] = 5.0 + dt * np.arange(n_times)
-        path = tmp_path / "table.csv"
-        names = separator.join(["t"] + [f"a{k}" for k in range(1, n_columns)])
-        np.savetxt(path, table, fmt=form, delimiter=separator, header=names if header else "")
-        chosen = f"a{column}" if header else column
-        record = read_record(path, units=1.0, column=chosen)
-        np.testing.assert_allclose(record.acceleration, table[:, column], atol=1e-9, rtol=1e-11)
-        assert record.dt == pytest.approx(dt, rel=1e-6)
-
-
 # --- time steps ---------------------------------------------------------------------------------
 
 
@@ -204,10 +186,6 @@ def test_dt_that_contradicts_the_time_column(tmp_path):
 
 
 # --- units --------------------------------------------------------------------------------------
-
-
-def test_unit_catalogue():
-    assert G == 9.81
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import pytest
 
 from pymc_features.io import read_channels, read_record
 from pymc_features.io.reading.labels import role_of, unit_of
-from support.refusals import refusals
 
 STEPS = 0.01 * np.arange(60)
 MOTION = np.sin(2.0 * np.pi * 5.0 * STEPS)
@@ -118,25 +117,3 @@ def test_a_clock_of_midnight_alone_is_of_the_day(tmp_path):
     path.write_text(lines("time,a [g]", [f"10:00:{t:05.2f}" for t in STEPS]))
     found = read_channels(path)
     assert found.attrs["start"] == 36000.0 and found["time"].values[-1] == pytest.approx(0.59)
-
-
-REFUSED = {
-    "channel.csv must be a history over time, got a column 'Period": ("Period (s),Sa (g)", {}),
-    "channel.csv must be a history over time, got a column 'Frequency": ("Frequency [Hz],a [g]", {}),
-    "channel.csv must be a history over time, got a column 'depth": ("depth [m],a [g]", {}),
-    "`clock_units` must be given, channel.csv states 'frames' of its clock": ("time [frames],a [g]", {}),
-    "channel.csv must hold accelerations, it states 'mm/s', a unit of velocity": ("t [s],v [mm/s]", {}),
-    "channel.csv must hold accelerations, it states 'kN'": ("t [s],load [kN]", {"units": "g"}),
-    "`units` must be given, channel.csv states 'grav', which is no known": ("t [s],a [grav]", {}),
-    "`units` must be those of the file, channel.csv states 'mm/s2', got": ("t [s],a [mm/s2]", {"units": "g"}),
-}
-
-
-@refusals("case", REFUSED)
-@pytest.mark.parametrize("reader", [read_channels, read_record])
-def test_what_the_label_does_not_allow(tmp_path, case, match, reader):
-    head, settings = case
-    path = tmp_path / "channel.csv"
-    path.write_text(lines(head, elapsed(1.0, "{:.2f}")))
-    with pytest.raises(ValueError, match=match):
-        reader(path, **settings)

@@ -22,7 +22,7 @@ from support import record_files as files
 from support.mutations import is_what_it_says, mutated, outcome
 from support.record_examples import EXAMPLES, FILM, MOTION
 
-MUTATIONS = 100
+MUTATIONS = 60
 STEP = 0.005
 A = MOTION[0]
 STIFFNESS = np.diag(np.full(6, 2.0)) - np.diag(np.ones(5), 1) - np.diag(np.ones(5), -1)

@@ -95,12 +95,7 @@ def test_a_mark_before_the_first_row(tmp_path):
         read_record(save(tmp_path, "\xb5".encode("latin-1") + bare[1:].encode(), "r.txt"), units="g")
 
 
-SLIPS = {
-    "digit lost": (r"E-\d\d", lambda token: token[:4] + token[5:]),
-    "exponent lost": (r"E-\d\d", lambda token: token[:-1]),
-    "sign lost": (r"-\d", lambda token: token[1:]),
-    "digit added": (r"\.\d", lambda token: token + "7"),
-}
+SLIPS = ["digit lost", "exponent lost", "sign lost", "digit added"]
 
 
 @pytest.mark.parametrize("slip", SLIPS)

@@ -125,16 +125,18 @@ def test_edits_compile_what_they_change_and_nothing_else(tmp_path, request):
     """Edits that cannot change the kernel; then edits in its own file (twice), in that of a part of another
     folder (five times), and in its call from PyTensor (three times), compiled with it.
     """
+    test_one_kernel_serves_python_and_graphs()  # its machine code goes into the copy
     copy = Copy(tmp_path)
     request.addfinalizer(copy.remove_bytecode)
-    value, code = copy.run(), copy.machine_code()
+    code = copy.machine_code()
     assert code
     without_kernels = ("simulators/simulate.py", "simulators/quantities.py", "ops/response.py")
     for file in (*without_kernels, "simulators/nonlinear/runge_kutta.py"):  # or with those of another family
         with open(copy.package / file, "a") as source:
             source.write("\n\ndef more():\n    return 1\n")
-    assert copy.run() == pytest.approx(value, rel=1e-14)
-    assert copy.machine_code() == code
+    value = copy.run()
+    of_chains = {name: t for name, t in copy.machine_code().items() if "simulators.chain.kernels" in name}
+    assert of_chains == code
     copy.edit("simulators/chain/kernels.py", "0)))[:, 0].copy()", "0)))[:, 0] * 2.0")
     copy.edit("simulators/oscillators/march.py", "own[0] = walk", "own[0] = 5.0 * walk")
     copy.edit(

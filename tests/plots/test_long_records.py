@@ -5,8 +5,6 @@ import pytest
 import xarray as xr
 
 from pymc_features import Record, plots
-from pymc_features.plots.axes import broken
-from pymc_features.plots.histories import envelope
 
 QUANTILES = [0.05, 0.5, 0.95]
 
@@ -35,24 +33,6 @@ LONG = 0.01 * np.arange(20_001)
 def areas(ax):
     """Corners (2, n) of the areas on an axis, by their labels."""
     return {area.get_label(): area.get_paths()[0].vertices.T for area in ax.collections}
-
-
-def test_envelope_holds_every_sample():
-    """Columns narrower than the step hold two samples, or the only one; what is no number is skipped."""
-    time = 0.5 * np.arange(1001)
-    values = np.random.default_rng(1).standard_normal(1001)
-    middle, low, high = envelope(time, values, 5.0)
-    assert (middle.size, middle[0], middle[1], middle[-1]) == (100, 0.0, 7.5, 500.0)
-    np.testing.assert_allclose(np.diff(middle)[1:-1], 5.0)
-    columns = [values[10 * k : 10 * k + 11] for k in range(100)]
-    np.testing.assert_array_equal([low, high], [[c.min() for c in columns], [c.max() for c in columns]])
-    for size in (1, 2, 7):
-        values = np.arange(size) ** 2.0
-        middle, low, high = envelope(np.arange(size, dtype=float), values, 0.1)
-        assert (low[0], high[-1], middle.size) == (values[0], values[-1], max(1, size - 1))
-        assert (low <= high).all()
-    _, low, high = envelope(np.arange(5.0), np.array([1.0, np.nan, 3.0, 2.0, np.nan]), 4.0)
-    assert (low.tolist(), high.tolist()) == ([1.0], [3.0])
 
 
 def test_long_records_are_drawn_by_their_envelopes():
@@ -145,12 +125,6 @@ def test_long_titles_are_broken(name):
         letters = "".join(title.get_text().split())
         assert letters.startswith("".join(name.split()))
         assert title.get_window_extent().y1 <= ax.figure.bbox.y1
-
-
-def test_short_titles_stay_on_one_line():
-    assert broken("El Centro 1940 NS", 6.0, "large") == "El Centro 1940 NS"
-    assert broken("", 6.0, "large") == ""
-    assert broken("El Centro 1940 NS", 1.0, "large").count("\n") > 0
 
 
 def test_long_names_of_parameters_are_broken():

@@ -1,19 +1,9 @@
 """Kernels of linear structures: against matrix exponentials without modes, complex steps, and each other."""
 
-import copy
-
 import numpy as np
 import pytest
-from scipy import sparse
 
-from pymc_features import (
-    LinearStructure,
-    simulate,
-)
 from pymc_features.simulators import FAMILIES
-from pymc_features.simulators.linear import gradient
-from pymc_features.simulators.linear import response as population
-from pymc_features.simulators.linear.system import is_coupled
 from pymc_features.simulators.numbers.vectors import LANES
 from support.kernels import (
     linear_discrepancy,
@@ -30,7 +20,6 @@ from support.kernels import (
 )
 from support.linear_cases import CASES, LINEAR, random_case, split
 from support.reference import misfit_statistics
-from support.straight import Record
 from support.structures import peak_error
 
 
@@ -94,124 +83,51 @@ def test_gradient_of_the_misfit_across_blocks(total, substeps, stride, coupled):
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max() + 1e-14)
 
 
-@pytest.mark.parametrize("name", ["coupled, quantity 0", "classical, two supports", "classical, sparse"])
-def test_population_is_its_particles(name):
-    """Those that share theta, or not; what is shared gets the sum of the gradients; the bad one is NaN."""
-    case, _ = CASES[name]
-    rng = np.random.default_rng(5)
-    _, rayleigh, ratios = case.parameters
-    theta = rng.uniform(0.2, 1.0, (6, 3))
-    observed = rng.normal(size=linear_response(*case.arguments).shape)
-    weights = rng.uniform(size=(6, 3))
-    population = theta, rayleigh[None], ratios[None], *case.rest, observed
-    each = [(row, rayleigh, ratios, *case.rest, observed) for row in theta]
-    expected = np.array([linear_misfit(*one) for one in each])
-    np.testing.assert_allclose(linear_population_misfit(*population), expected, rtol=1e-9, atol=1e-11)
-    np.testing.assert_allclose(linear_population_discrepancy(*population), expected[:, :, 0], rtol=1e-11)
-    gradients = [linear_discrepancy_gradient(*one, c) for one, c in zip(each, weights, strict=True)]
-    found = linear_population_gradient(*population, weights)
-    assert peak_error(found[0], [g[0] for g in gradients]) < 1e-12
-    np.testing.assert_allclose(found[1], sum(g[1] for g in gradients)[None], rtol=1e-10)
-    theta[2] = -20.0
-    bad = linear_population_discrepancy(*population)
-    assert np.isnan(bad[2]).all() and np.isfinite(np.delete(bad, 2, axis=0)).all()
+POPULATIONS = [
+    *("coupled, quantity 0", "coupled, forces", "classical, quantity 0", "classical, quantity 3"),
+    *("classical, two supports", "classical, sparse", "classical, substeps", "classical, stride"),
+    *("classical, rigid body", "classical, repeated", "classical, repeated rigid bodies"),
+    *("classical, truncated", "classical, forces", "ratios, truncated"),
+]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "varied"),
-    [
-        ("classical, quantity 0", [1, 1, 1]),
-        ("classical, quantity 3", [1, 1, 1]),
-        ("classical, substeps", [1, 1, 1]),
-        ("classical, rigid body", [1, 1, 1]),
-        ("classical, repeated", [0, 1, 0]),  # what keeps the frequencies in pairs
-        ("classical, repeated rigid bodies", [1, 0]),
-        ("classical, truncated", [1, 1, 1]),
-        ("ratios, truncated", [0, 1, 1]),
-    ],
-)
-def test_dense_population_is_compiled(name, varied, monkeypatch):
-    """Misfits of more than two vectors of particles, without our modes; NaN in the bad rows alone."""
-    monkeypatch.setattr(population, "solved", None)
+@pytest.mark.parametrize("name", POPULATIONS)
+def test_population_is_its_particles(name):
+    """More than a vector of them; what is shared has the sum of the gradients; bad rows alone are NaN.
+
+    Of parameters that keep frequencies in pairs, and of those that part them.
+    """
     case, _ = CASES[name]
-    rng = np.random.default_rng(19)
-    count = 2 * LANES + 5
-    theta = case.theta + varied * rng.uniform(0.0, 0.5, (count, len(varied)))
-    rayleigh = case.rayleigh * rng.uniform(0.5, 1.5, (count, 2))
-    good = np.setdiff1d(np.arange(count), [1, LANES, LANES + 2, LANES + 3])
-    responses = np.array(
-        [case.reference(np.concatenate([theta[p], rayleigh[p], case.ratios])) for p in range(count)]
-    )
-    theta[1], theta[LANES], theta[LANES + 2], rayleigh[LANES + 3, 0] = np.nan, -50.0, 1e308, -40.0
-    observed = rng.normal(size=responses[0].shape) * np.abs(responses[0]).max()
-    expected = misfit_statistics(observed - responses)
-    rows = theta, rayleigh, case.ratios[None], *case.rest, observed
-    found = linear_population_misfit(*rows)
-    assert np.isnan(np.delete(found, good, axis=0)).all()
-    for k in range(4):
-        assert peak_error(found[good, :, k], expected[good, :, k]) < 1e-10
+    rng, count = np.random.default_rng(5), LANES + 3
+    _, rayleigh, ratios = case.parameters
+    theta = case.theta + ("repeated" not in name) * rng.uniform(0.0, 0.5, (count, case.theta.size))
+    rayleigh = np.tile(rayleigh, (count, 1)) * rng.uniform(0.5, 1.5, (count, 1))
+    if "supports" in name:  # shared
+        rayleigh = rayleigh[:1]
+    observed = rng.normal(size=linear_response(*case.arguments).shape)
+    weights = rng.uniform(size=(count, 3, 4))
+    rows = theta, rayleigh, ratios[None], *case.rest, observed
+    each = [(theta[p], rayleigh[p % len(rayleigh)], ratios, *rows[3:]) for p in range(count)]
+    expected = np.array([linear_misfit(*one) for one in each])
+    np.testing.assert_allclose(linear_population_misfit(*rows), expected, rtol=1e-9, atol=1e-10)
     errors = linear_population_discrepancy(*rows)
-    assert errors.shape == found.shape[:2] and np.isnan(np.delete(errors, good, axis=0)).all()
-    np.testing.assert_allclose(errors[good], found[good, :, 0], rtol=1e-13)
-    shared = linear_population_discrepancy(theta[:1], rayleigh[:2], *rows[2:])
-    by_one = case.reference(np.concatenate([theta[0], rayleigh[1], case.ratios]))
-    assert peak_error(shared[0], errors[0]) < 1e-13
-    assert peak_error(shared[1], ((observed - by_one) ** 2).mean(axis=1)) < 1e-10
+    np.testing.assert_allclose(errors, expected[:, :, 0], rtol=1e-10)
 
+    given = LINEAR.assemble(rows[:-2], case.quantity)
+    of_all = FAMILIES["linear"].kernels["population_gradient"](*given, observed, weights)
+    of_errors = linear_population_gradient(*rows, weights[:, :, 0])
+    for found, c in ((of_all, weights), (of_errors, weights[:, :, :1])):
+        slopes = [linear_misfit_gradient(*one, w) for one, w in zip(each, c, strict=True)]
+        for i in range(2 + ratios.any()):
+            exact = np.array([slope[i] for slope in slopes])
+            exact = exact if len(rows[i]) > 1 else exact.sum(axis=0, keepdims=True)
+            np.testing.assert_allclose(found[i], exact, rtol=0, atol=1e-8 * abs(exact).max())
 
-@pytest.mark.parametrize(
-    ("name", "shared"),
-    [
-        ("classical, quantity 0", "nothing"),
-        ("classical, stride", "theta"),
-        ("classical, two supports", "ratios and rayleigh"),
-        ("classical, rigid body", "theta"),
-        ("classical, repeated", "nothing"),
-        ("classical, forces", "nothing"),
-        ("ratios, truncated", "nothing"),
-    ],
-)
-def test_dense_gradients_are_compiled(name, shared, monkeypatch):
-    """Without our modes, of all statistics; NaN in the bad rows, and in what they share with the others."""
-    monkeypatch.setattr(gradient, "solved", None)
-    case, accuracy = copy.copy(CASES[name][0]), CASES[name][1]
-    rng = np.random.default_rng(23)
-    counts = [1 if given in shared else 5 for given in ("theta", "rayleigh", "ratios")]
-    rows = [np.tile(a, (count, 1)) for a, count in zip(case.parameters, counts, strict=True)]
-    rows[1] *= rng.uniform(0.8, 1.2, (counts[1], 1))
-    if name != "classical, repeated":
-        rows[0] *= rng.uniform(0.8, 1.2, (counts[0], 1))
-    response = linear_response(*case.arguments)
-    observed, weights = rng.normal(size=response.shape), rng.uniform(size=(5, *response.shape[:1], 4))
-    expected = [np.zeros(a.shape) for a in rows]
-    for p in range(5):
-        case.theta, case.rayleigh, _ = (a[p % len(a)] for a in rows)
-        directions, derivatives = case.derivatives()
-        misfit = observed - case.reference(np.concatenate(case.parameters))
-        up, down = (misfit_statistics(misfit - step * derivatives) for step in (0.01, -0.01))
-        slopes = ((up - down) / 0.02 * weights[p]).sum(axis=(1, 2)) / directions.max(axis=1)
-        for total, part in zip(expected, split(np.pad(slopes, (0, 9)), case.parameters), strict=True):
-            total[p % len(total)] += part[: total.shape[1]]
-
-    def found():
-        given = LINEAR.assemble((*rows, *case.rest[:-1]), case.quantity)
-        return FAMILIES["linear"].kernels["population_gradient"](*given, observed, weights)
-
-    for got, exact in zip(found()[: 2 + case.ratios.any()], expected, strict=False):
-        assert peak_error(got, exact) < accuracy
-    spoilt = rows[0] if len(rows[0]) > 1 else rows[1]
-    spoilt[[1, 3]] = [[np.nan], [-1e4]]
-    for got in found()[:2]:
-        bad = [p in (1, 3) or len(got) == 1 for p in range(len(got))]
-        np.testing.assert_array_equal(np.isnan(got).all(axis=1), bad)
-
-
-@pytest.mark.parametrize("name", ["classical, two supports", "coupled, two supports", "classical, sparse"])
-def test_sparse_outputs(name):
-    case, _ = CASES[name]
-    thin = case.arguments_with(sensors=sparse.csr_array(case.sensors))
-    assert peak_error(linear_response(*thin), linear_response(*case.arguments)) < 1e-13
+    theta[1], theta[LANES] = np.nan, -1e3
+    bad = linear_population_discrepancy(*rows)
+    np.testing.assert_array_equal(np.isnan(bad).all(axis=1), np.isin(np.arange(count), [1, LANES]))
+    np.testing.assert_allclose(np.delete(bad, [1, LANES], axis=0), np.delete(errors, [1, LANES], axis=0))
 
 
 @pytest.mark.parametrize("large", [False, True])
@@ -290,18 +206,3 @@ def test_sizes_that_disagree():
         linear_population_discrepancy(*rows, *case.rest, observed)
     with pytest.raises(ValueError, match="and `weights` all rows"):
         linear_population_gradient(rows[0], *(a[:1] for a in rows[1:]), *case.rest, observed, weights[None])
-
-
-def test_simulate_and_the_kernel_are_one():
-    """Of a damping matrix that couples the modes, and of one that does not."""
-    case = random_case(18, 4, coupled=True, n_modes=3)
-    for damping in (case.damping[0], 0.1 * case.mass[0]):
-        structure = LinearStructure(case.mass[0], stiffness=case.stiffness[0], damping=damping)
-        record = Record(case.inputs[0], case.dt)
-        expected = simulate(structure, record, n_modes=3, dt=0.06)
-        found = linear_response(
-            *(*structure.parameters(), *structure.constants(record), structure.excitation(record)),
-            *(record.dt, 1, 2, np.eye(4), 3, 0),
-        )
-        assert is_coupled(structure.modal_damping()) == (damping is case.damping[0])
-        assert peak_error(found, expected) < 1e-13

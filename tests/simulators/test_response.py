@@ -6,12 +6,9 @@ import numpy as np
 import pytensor.tensor as pt
 import pytest
 import xarray as xr
-from scipy.linalg import expm
 
 from pymc_features import ModalDamping, RayleighDamping, SpringMassChain, paper, simulate
 from pymc_features.simulators import QUANTITIES, UNITS
-from pymc_features.simulators.compiled.jit import jit
-from pymc_features.simulators.oscillators.exact_step import exponentials, pole_of_mode
 from support.kernels import chain_discrepancy, chain_response
 from support.newmark import newmark
 from support.reference import first_order_hold, interpolated
@@ -44,34 +41,6 @@ def displacement(structure, record, **kwargs):
 def assert_close_to_peak(actual, expected, tolerance):
     """Largest difference over the largest value."""
     np.testing.assert_allclose(actual, expected, rtol=0.0, atol=tolerance * np.abs(expected).max())
-
-
-@jit
-def step_coefficients(s, d):
-    """Coefficients of one step of (q, h q'): of the state (4,), and of the ground at both ends (2, 2).
-
-    A function of F = [[0, 1], [-s, -d]] is a I + b F, of the pole z = -d/2 + J of F it is re + im J.
-    """
-    phi_0, phi_1, phi_2 = exponentials(pole_of_mode(s, d), s, d)
-    (b0, b1, b2), half = (phi_0.im, phi_1.im, phi_2.im), 0.5 * d
-    a0, a1, a2 = phi_0.re + half * b0, phi_1.re + half * b1, phi_2.re + half * b2
-    now_q, now_p = b2 - b1, a2 - a1 - d * (b2 - b1)
-    return a0, b0, -s * b0, a0 - d * b0, now_q, now_p, -b2, d * b2 - a2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("zeta", [0.0, 1e-8, 0.5, 1.0 - 1e-9, 1.0, 1.0 + 1e-9, 5.0])
-def test_step_coefficients_against_matrix_exponential(zeta):
-    """w in 0..30: 1e-12 of the largest entry, the accuracy of the exponential itself (Van Loan)."""
-    for w in np.concatenate([[0.0], np.logspace(-8, np.log10(30.0), 30)]):
-        hold = np.array(step_coefficients(w * w, 2.0 * zeta * w))
-        eye, zero = np.eye(2), np.zeros((2, 2))
-        exact = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
-        whole = expm(np.block([[exact, eye, zero], [zero, zero, eye], [zero, zero, zero]]))
-        phi_0, phi_1, phi_2 = np.hsplit(whole[:2], 3)
-        assert_close_to_peak(hold[:4].reshape(2, 2), phi_0, 1e-12)
-        assert_close_to_peak(hold[4:6], (phi_2 - phi_1)[:, 1], 1e-12)
-        assert_close_to_peak(hold[6:8], -phi_2[:, 1], 1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -270,19 +239,6 @@ def test_truncation_and_feed_through(n_modes):
     assert feed < 1e-12 if n_modes == chain.n_dof else feed > 1e-3
 
 
-@pytest.mark.parametrize(("beta", "column"), [(0.25, "u_avg"), (1 / 6, "u_lin")])
-def test_newmark_against_hand_tables(chopra, beta, column):
-    """Chopra, examples 5.3 and 5.4, to the printed digits."""
-    book = chopra["newmark_hand_examples"]
-    t = np.arange(11) * book["dt"]
-    force = np.where(t < 0.6, 10.0 * np.sin(np.pi * t / 0.6), 0.0)[None]
-    damping = 2 * book["zeta"] * np.sqrt(book["k"] * book["m"])
-    u, _, _ = newmark(*(np.array([[x]]) for x in (book["m"], damping, book["k"])), force, 0.1, beta=beta)
-    np.testing.assert_allclose(u[0, 1:], book[column], atol=1.5e-4)
-    other = "u_lin" if column == "u_avg" else "u_avg"
-    assert np.abs(u[0, 1:] - book[other]).max() > 0.01  # negative control
-
-
 def newmark_error(chain, record, divisor, beta=0.25):
     """RMS error of each floor's absolute acceleration over its RMS."""
     fine = np.arange((record.n_times - 1) * divisor + 1) * (record.dt / divisor)
@@ -363,23 +319,6 @@ def test_any_positive_parameters_give_numbers_or_nan():
         case = {"mass": mass, "stiffness": stiffness, "rayleigh": rayleigh, "ratios": ratios}
         history = chain_response(*kernel_arguments(**case))
         assert np.isfinite(history).all() or np.isnan(history).all()
-
-
-@pytest.mark.parametrize(
-    ("changes", "match"),
-    [
-        ({"stiffness": np.ones(3)}, "must have equal lengths"),
-        ({"sensors": np.array([2])}, "`sensors` must be degrees of freedom"),
-        ({"n_modes": 3}, "`n_modes` must lie between 1 and"),
-    ],
-)
-def test_kernel_refuses_to_read_outside_its_arrays(changes, match):
-    with pytest.raises(ValueError, match=match):
-        chain_response(*kernel_arguments(**changes))
-    with pytest.raises(ValueError, match=match):
-        chain_discrepancy(*kernel_arguments(**changes), np.zeros((2, 3)))
-    with pytest.raises(ValueError, match="`observed` or the cotangent must have the shape"):
-        chain_discrepancy(*kernel_arguments(), np.zeros((3, 2)))
 
 
 def test_result_is_labelled():

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import cumulative_simpson
 
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.families import FAMILIES as FAMILY
@@ -11,7 +10,7 @@ from pymc_features.simulators.nonlinear.law import SERIES
 from pymc_features.simulators.numbers.vectors import LANES
 from pymc_features.simulators.oscillators.arguments import NO_DIRECT, Excitation
 from pymc_features.simulators.taylor import ground, layout
-from pymc_features.simulators.taylor.ground import DEGREE, Ground, projection
+from pymc_features.simulators.taylor.ground import Ground
 from support.kernels import flat_kernels, population_discrepancy, population_gradient, response_gradient
 from support.reference import misfit_statistics
 from support.yielding import tight_solution
@@ -404,37 +403,6 @@ def fine(n_times=601, **request):
 def cut(where, rate=RATE, series=None):
     """The spans of a record, for the recurrence that is named first unless another is given."""
     return Ground(Excitation(*where[:4])).spans(rate, series or next(iter(SERIES.values())))
-
-
-@pytest.mark.parametrize("width", [2, 10])
-def test_projection(width):
-    """The remainder has no moments, and the matrix gives its second integral."""
-    samples = np.random.default_rng(0).normal(size=width + 1)
-    coefficients, remainder = projection(width)
-    times = np.linspace(0.0, 1.0, 400 * width + 1)
-    r = np.interp(times * width, np.arange(width + 1), samples)
-    r = r - np.polynomial.polynomial.polyval(times, samples @ coefficients)
-    for k in range(DEGREE + 1):
-        assert abs(cumulative_simpson(r * times**k, x=times)[-1]) < 1e-6
-    twice = cumulative_simpson(cumulative_simpson(r, x=times, initial=0.0), x=times, initial=0.0)
-    np.testing.assert_allclose(samples @ remainder, twice[200::200], rtol=0, atol=1e-7)
-    of_a_line = np.arange(width + 1.0) @ coefficients
-    np.testing.assert_allclose(of_a_line, np.eye(DEGREE + 1)[1] * width, atol=1e-11)
-
-
-def test_spans_follow_one_another():
-    """Each begins where the one before ends, and those of one step are the record itself."""
-    where = fine(band=40.0, rough=10.0)
-    acceleration, found = where[0], cut(where)
-    widths = found.widths[:-1]
-    assert {1, 10} <= set(widths)
-    starts = np.concatenate([[0], np.cumsum(widths)])
-    np.testing.assert_array_equal(starts[found.first], np.arange(0, 601, 10))
-    np.testing.assert_array_equal(found.ground, acceleration[::10])
-    single = np.flatnonzero(widths == 1)
-    rises = acceleration[starts[single] + 1] - acceleration[starts[single]]
-    np.testing.assert_array_equal(found.loads[single, :2].T, [acceleration[starts[single]], rises])
-    assert (found.loads[single, 2:] == 0.0).all()
 
 
 def test_spans_shorten_for_stiff_chains_and_rough_records():

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 
 from pymc_features import cli
 from pymc_features.likelihoods import abc_tolerance
@@ -27,6 +28,7 @@ from pymc_features.study import (
 from pymc_features.study import sampling_rate as study_module
 from pymc_features.study.settings import Study
 from pymc_features.study.structures import bouc_wen_chain
+from support.blank_figures import blank
 from support.straight import Record
 
 pytestmark = pytest.mark.slow
@@ -56,6 +58,8 @@ def command(request, beginning, tmp_path_factory):
     entry = dataclasses.replace(STRUCTURES[name], quick=QUICK[name])
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(STRUCTURES, name, entry)
+        if name == "linear":  # the figures of the other are drawn, once
+            patch.setattr(Figure, "savefig", blank)
         with contextlib.redirect_stderr(said):
             assert cli.main(words) == 0
         with xr.open_datatree(out / "study.nc", engine="h5netcdf") as tree:
@@ -63,7 +67,7 @@ def command(request, beginning, tmp_path_factory):
         yield SimpleNamespace(name=name, words=words, out=out, said=said.getvalue(), result=result)
 
 
-def test_command_writes_everything(command, capsys):
+def test_command_writes_everything(command, capsys, monkeypatch):
     """Another seed or structure in the same folder is refused, the same again samples nothing."""
     figures = FIGURES | ({"fig5_correlated"} if command.name == "linear" else {"fig7_loops"})
     written = {path.name for path in command.out.iterdir()}
@@ -83,6 +87,7 @@ def test_command_writes_everything(command, capsys):
         return
     tables = [(command.out / name).read_bytes() for name in TABLES]
     changed = {path: path.stat().st_mtime_ns for path in (command.out / "parts").iterdir()}
+    monkeypatch.setattr(Figure, "savefig", blank)
     assert cli.main(command.words) == 0
     assert [(command.out / name).read_bytes() for name in TABLES] == tables
     assert changed == {path: path.stat().st_mtime_ns for path in (command.out / "parts").iterdir()}

@@ -1,5 +1,6 @@
 """Whether a call with an odd argument works, is refused clearly, or fails somewhere inside."""
 
+import inspect
 import warnings
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
@@ -8,11 +9,21 @@ from pathlib import Path
 from traceback import extract_tb
 from unittest.mock import patch
 
+import numpy as np
 import pymc as pm
 
 import pymc_features
-from support.odd_values import ODD
 
+ODD = {
+    "None": None,
+    "True": True,
+    "text": "abc",
+    "-1.0": -1.0,
+    "nan": np.nan,
+    "complex": 1.0 + 1.0j,
+    "[]": [],
+    "three dimensions": np.ones((2, 2, 2)),
+}
 ROOT = str(Path(pymc_features.__file__).parent)
 
 
@@ -35,7 +46,7 @@ class Call:
     arguments : dict
         All that are tried, with values that work, by name.
     takes : dict
-        Names of `ODD` that each argument takes; none unless it is here.
+        Names of odd values that each argument takes, besides True where its own value is True or False.
     called : dict
         What messages name in place of an argument, or where it does not fit another.
     positional : tuple of str
@@ -70,8 +81,17 @@ class Call:
             return self.function(*args, **given)
 
     def odd(self, argument: str) -> dict:
-        """Odd values of an argument, by name."""
-        return {**ODD, **self.more.get(argument, {})}
+        """Odd values of an argument, by name; None is not odd where it is the default."""
+        odd = {**ODD, **self.more.get(argument, {})}
+        parameter = inspect.signature(self.function).parameters.get(argument)
+        if self.arguments[argument] is None or (parameter and parameter.default is None):
+            del odd["None"]
+        return odd
+
+    def taken(self, argument: str) -> set[str]:
+        """Names of the odd values that an argument takes."""
+        own = {"True"} if isinstance(self.arguments[argument], bool) else set()
+        return own | set(self.takes.get(argument, ()))
 
 
 def fate(call: Call, argument: str, value) -> str:
@@ -97,7 +117,7 @@ def wrong(call: Call, argument: str) -> dict[str, str]:
     found = {}
     for name, value in call.odd(argument).items():
         told = fate(call, argument, value)
-        wanted = "taken" if name in call.takes.get(argument, ()) else "refused"
+        wanted = "taken" if name in call.taken(argument) else "refused"
         if told != wanted:
             found[name] = told
     return found

@@ -1,11 +1,10 @@
 """The example that tests of `update` begin with; figures, drawn only where a test looks at them."""
 
-from pathlib import Path
-
 import pytest
 from matplotlib.figure import Figure
 
 from pymc_features.update import write_example
+from support.blank_figures import blank
 from support.browser import CHROMIUM
 from support.update_files import SMALL, replaced
 
@@ -17,11 +16,6 @@ def example(tmp_path_factory):
     write_example(path, synthetic=True)
     path.write_text(replaced(path.read_text(), SMALL))
     return path
-
-
-def blank(_, to, **options):
-    """Instead of `Figure.savefig`."""
-    (Path(to).write_bytes if isinstance(to, str | Path) else to.write)(b"\x89PNG")
 
 
 @pytest.fixture(scope="module")

@@ -15,14 +15,11 @@ from pymc_features.update.report.page import page_of, write_page
 from pymc_features.update.report.payload import (
     density,
     extremes,
-    packed,
     payload_of,
-    rank_differences,
 )
 from pymc_features.update.templates.numbers import (
     COLUMNS,
     Row,
-    as_csv,
     as_latex,
     cells,
     fixed,
@@ -138,15 +135,6 @@ def test_groups_that_are_missing_are_left_out():
 # ---- arrays ----
 
 
-@pytest.mark.parametrize("bits", [8, 16])
-def test_packed_numbers_are_right_to_half_a_step(bits):
-    values = np.append(np.random.default_rng(0).normal(5.0, 2.0, 999), np.nan).reshape(10, 100)
-    step = (np.nanmax(values) - np.nanmin(values)) / (2**bits - 2)
-    np.testing.assert_allclose(unpacked(packed(values, bits)), values, atol=0.501 * step)
-    assert unpacked(packed([3.0, 3.0])).tolist() == [3.0, 3.0]
-    assert np.isnan(unpacked(packed([np.nan]))).all()
-
-
 def test_thinned_series_keep_every_extreme():
     """In each part of the record; taking every n-th sample, the negative control, misses them."""
     rng = np.random.default_rng(1)
@@ -172,20 +160,6 @@ def test_density_is_that_of_the_draws():
     np.testing.assert_allclose(y, np.exp(-0.5 * ((x - 3.0) / 0.5) ** 2), atol=0.03)
     x, y = density(rng.uniform(0.0, 1.0, 200_000))
     assert y[0] > 0.9 and y[-1] > 0.9
-
-
-def test_ranks_of_chains_that_agree_stay_in_the_band():
-    """Of 200 pairs of chains 5 % may leave it at the middle; chains that differ by one sd all do."""
-    rng = np.random.default_rng(3)
-    middle, half = 20, 1.96 * np.sqrt(0.25 / 500) / np.sqrt(2.0)
-    outside = []
-    for shift in (0.0, 1.0):
-        differences = []
-        for _ in range(200):
-            _, shares = rank_differences(rng.standard_normal((2, 500)) + [[0.0], [shift]])
-            differences.append(abs(shares[0, middle]) > half)
-        outside.append(np.mean(differences))
-    assert outside[0] < 0.12 and outside[1] == 1.0  # 0.05 + 4 standard errors
 
 
 def test_the_budget_is_shared_by_all_likelihoods():
@@ -256,27 +230,6 @@ def test_quantiles_that_differ_are_shown_to_differ():
     assert cells([heavy])[0][3:6] == ("0.001", "0.002", "40.000")
     equal = Row("TN", "q", "-", 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 500.0, 0.0)
     assert cells([equal])[0][3:6] == ("1.000", "1.000", "1.000")
-
-
-def test_rounded_numbers_are_those_of_the_file():
-    """Random rows: each text is the number of `table.csv` to half of its last digit."""
-    rng = np.random.default_rng(3)
-    table = []
-    for unit in ("N/m", "Hz", "-", "m/s^2", "kg", "m", "s", "m^2/s^3"):
-        for _ in range(40):
-            middle = 10.0 ** rng.uniform(-8, 10)
-            draws = middle * np.exp(10.0 ** rng.uniform(-6, 0.5) * rng.standard_normal(100))
-            quantiles = np.quantile(draws, [0.05, 0.5, 0.95])
-            name = f"p{len(table)}"
-            table.append(Row("EXP", name, unit, *quantiles, draws.mean(), draws.std(), 0.5, 1.0, 99.0, 0.5))
-    told = list(csv.reader(as_csv(table).splitlines()))
-    assert tuple(told[0]) == COLUMNS
-    for row, shown, saved in zip(table, cells(table), told[1:], strict=True):
-        factor = scale_of(max(map(abs, row[3:6])), row.unit).factor
-        for text, number in zip(shown[3:8], map(float, saved[3:8]), strict=True):
-            half = 0.5 * 10.0 ** -len(text.partition(".")[2])
-            assert abs(float(text) - number / factor) <= 1.001 * half + 1e-9 * abs(number / factor), row
-        assert len(set(shown[3:6])) == 3
 
 
 def test_latex_needs_no_package():

@@ -1,1 +1,0 @@
-"""Calls of public functions, one or more for each kind of check, with what each argument takes."""
