@@ -60,7 +60,7 @@ ALLOWED = {
         "external",
     },
 }
-ANYTHING = {"__init__", "__main__", "public", "cli"}
+ANYTHING = {"__init__", "__main__", "public", "cli", "warm_up"}
 
 PUBLIC_NAMES = [
     "AffineStructure",

@@ -320,7 +320,7 @@ SAMPLERS = {
     "PersistentSMC": Call(
         pmf.PersistentSMC,
         KERNEL | {"stage_draws": None},
-        PATHS,
+        PATHS | {"random_seed": {"None"}},
         instead={
             "pymc_features.smc.kernels.base.model_fingerprint": work,
             "pymc_features.smc.kernels.base.prior_draws": no_prior,
