@@ -247,7 +247,7 @@ def rc_column() -> xr.Dataset:
     """
     columns = []
     for commit, (file, digest) in zip(_COLUMN_COMMITS, _COLUMN_FILES.items(), strict=True):
-        text = _fetch(f"rc_column/{file}", _COLUMN.format(commit, file), digest).read_text()
+        text = _fetch(f"rc_column/{file}", _COLUMN.format(commit, file), digest).read_text(encoding="utf-8")
         columns.append(np.array(text.replace(",", " ").split(), dtype=np.float64))
     return xr.Dataset({"displacement": ("step", columns[0]), "force": ("step", 1e3 * columns[1])})
 

@@ -49,7 +49,9 @@ class PartStore:
         found, wanted = settings_in(self.folder, what), self.settings
         if found is None:
             text = json.dumps(wanted | {SUMMED: True}, indent=2)
-            write_atomically(self.folder / f"{what}.json", lambda p: p.write_text(f"{text}\n"))
+            write_atomically(
+                self.folder / f"{what}.json", lambda p: p.write_text(f"{text}\n", encoding="utf-8")
+            )
             return
         self.summed = found.pop(SUMMED, False) is True
         if found != wanted:
@@ -80,7 +82,9 @@ class PartStore:
         if not path.exists() or (self.summed and not beside.exists()):
             return None
         try:
-            if beside.exists() and beside.read_text().strip() != self._sum(name, path.read_bytes()):
+            if beside.exists() and beside.read_text(encoding="utf-8").strip() != self._sum(
+                name, path.read_bytes()
+            ):
                 raise ValueError("wrong sum")
             with xr.open_datatree(path, engine="h5netcdf") as tree:
                 return tree.load()
@@ -102,7 +106,7 @@ class PartStore:
             raw = netcdf_bytes(part)
             temporary.write_bytes(raw)
             total = self._sum(name, raw)
-            write_atomically(path.with_suffix(SUM), lambda p: p.write_text(f"{total}\n"))
+            write_atomically(path.with_suffix(SUM), lambda p: p.write_text(f"{total}\n", encoding="utf-8"))
 
         write_atomically(path, write)
 
@@ -130,14 +134,15 @@ def held(folder, what: str):
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        known = about.read_text() if about.exists() else "another process"
+        known = about.read_text(encoding="utf-8") if about.exists() else "another process"
         raise StudyMismatchError(
             f"`out` must be in use by one {what} at a time, got {folder}, which {known} is writing to. Wait "
             "for it, or choose another folder."
         ) from None
     try:
         start = datetime.now().strftime("%Y-%m-%d %H:%M:%S")
-        write_atomically(about, lambda p: p.write_text(f"process {os.getpid()}, started at {start},"))
+        who = f"process {os.getpid()}, started at {start},"
+        write_atomically(about, lambda p: p.write_text(who, encoding="utf-8"))
         yield
     finally:
         about.unlink(missing_ok=True)
@@ -171,7 +176,7 @@ def settings_in(folder: Path, what: str) -> dict | None:
     """
     path = folder / f"{what}.json"
     try:
-        found = json.loads(path.read_text())
+        found = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(found, dict):
             raise ValueError(f"no table but a {type(found).__name__}")
     except FileNotFoundError:

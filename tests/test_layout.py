@@ -34,14 +34,15 @@ ALLOWED = {
     "io": {"records", "signals", "band_limited"},
     "datasets": {"records", "io", "modal"},
     "ground_motion": {"records"},
-    "external": {"ops", "fingerprint", "inference", "smc", "progress"},
+    "external": {"ops", "fingerprint", "inference", "smc", "progress", "system"},
     "storage": set(),
+    "system": set(),
     "fingerprint": set(),
     "prediction": {"records", "structures", "simulators", "inference", "smc", "calibration"},
     "ops": {"algebra", "records", "structures", "simulators", "band_limited"},
     "ambient": {"records", "structures", "simulators", "ops", "modal", "signals"},
     "likelihoods": {"ops", "modal", "fingerprint"},
-    "smc": {"external", "simulators"},  # of it the workers, as in the next
+    "smc": {"external", "simulators", "system"},  # of it the workers, as in the next
     "inference": {"records", "structures", "simulators", "ops", "likelihoods", "external", "smc"},
     "sampling": {"inference", "smc"},
     "calibration": {"ops", "likelihoods", "inference", "smc"},

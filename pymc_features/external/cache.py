@@ -1,6 +1,5 @@
 """Results of simulations on disk, found again by what they depend on."""
 
-import os
 import sqlite3
 import threading
 import time
@@ -11,6 +10,7 @@ from weakref import WeakSet
 import numpy as np
 
 from pymc_features.external.workers.calls import Outcome
+from pymc_features.system import at_fork
 
 VERSION = 1
 WAIT_SECONDS = 60.0  # for other writers
@@ -159,4 +159,4 @@ def after_fork():
         _HELD.pop().lock.release()
 
 
-os.register_at_fork(before=before_fork, after_in_parent=after_fork, after_in_child=after_fork)
+at_fork(before_fork, after_fork, after_fork)

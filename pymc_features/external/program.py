@@ -122,7 +122,7 @@ class ProgramSimulator:
             Path(name).chmod(mode)  # a program among them runs
         for name, text in self.inputs.items():
             Path(name).parent.mkdir(parents=True, exist_ok=True)
-            Path(name).write_text(filled(text, known))
+            Path(name).write_text(filled(text, known), encoding="utf-8")
         command = [filled(word, known) for word in self.command]
         done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL)
         if done.returncode:

@@ -2,13 +2,11 @@
 
 import hashlib
 import os
-import tempfile
 import time
 import uuid
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import cloudpickle
 import numpy as np
@@ -24,6 +22,7 @@ from pymc_features.external.workers.executors import (
 )
 from pymc_features.smc.density.evaluation import PopulationLogp
 from pymc_features.smc.density.rows import ONE_CALL
+from pymc_features.system import one_process_at_a_time
 
 PER_PLACE = 2  # parts of what is left, for each place of work: large parts first, small ones at the end
 
@@ -99,25 +98,6 @@ class ModelPart:
             for function in (self.logp.values, self.logp.slopes):
                 if function is not None:
                     function(self.logp.start)
-
-
-@contextmanager
-def one_process_at_a_time() -> Iterator[None]:
-    """Wait for other processes of this user and machine, where the system can do that."""
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    path = Path(tempfile.gettempdir()) / f"pymc_features-{os.getuid()}.lock"
-    try:
-        file = open(path, "a")  # noqa: SIM115  closed below, which frees the lock
-    except OSError:  # each compiles by itself
-        yield
-        return
-    with file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
 
 
 ATTEMPTS = 3  # at a part, in processes that die

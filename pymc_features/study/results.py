@@ -273,8 +273,8 @@ def write_outputs(result: xr.DataTree, folder: Path) -> list[Path]:
     if "loops" in result.children:
         figures["fig7_loops.png"] = plots.loops(result)
     writers = {name: save(axes) for name, axes in figures.items()}
-    writers["table.md"] = lambda path: path.write_text(as_markdown(result))
-    writers["table.csv"] = lambda path: path.write_text(as_csv(result))
+    writers["table.md"] = lambda path: path.write_text(as_markdown(result), encoding="utf-8")
+    writers["table.csv"] = lambda path: path.write_text(as_csv(result), encoding="utf-8")
     writers["study.nc"] = lambda path: path.write_bytes(netcdf_bytes(result))
     for name, write in writers.items():
         write_atomically(folder / name, write)

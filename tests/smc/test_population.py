@@ -152,7 +152,7 @@ def sequential():
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("mp_ctx", ["fork", "forkserver"])
+@pytest.mark.parametrize("mp_ctx", ["fork", "spawn"])
 def test_parallel_chains_give_the_same_draws(sequential, default_mode, mp_ctx):
     """In compiled code, before and after runs in this process."""
     if mp_ctx not in multiprocessing.get_all_start_methods():

@@ -10,8 +10,6 @@ import atexit
 import os
 import pickle
 import shutil
-import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -20,11 +18,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
+from pymc_features import system
 from pymc_features.exceptions import DiedAtStartError, UnusableSimulatorError
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -66,20 +64,15 @@ class SimulatorProcess:
     """
 
     def __init__(self, payload: bytes, is_wanted: Callable[[], bool] = lambda: True):
-        ours, theirs = socket.socketpair()
         self.log = tempfile.TemporaryFile()  # noqa: SIM115  as long as the process
         self.folder, self.digests, self.is_wanted = "", [], is_wanted
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", str(SCRIPT), str(theirs.fileno())],
-            pass_fds=[theirs.fileno()],
+        self.process, self.connection = system.start_connected(
+            [sys.executable, "-P", str(SCRIPT), system.__file__],
             stdin=subprocess.DEVNULL,
             stdout=self.log,
             stderr=self.log,
             env={**ONE_THREAD, **os.environ},  # as many processes as processors: threads would compete
-            start_new_session=True,  # Ctrl-C is the parent's; and to kill it is to kill what it started
         )
-        theirs.close()
-        self.connection = Connection(ours.detach())
         with suppress(OSError):  # it died; said below
             self.connection.send_bytes(pickle.dumps([os.path.abspath(p) for p in sys.path]))
             self.connection.send_bytes(payload)
@@ -146,7 +139,8 @@ class SimulatorProcess:
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(END_SECONDS)
         size = os.fstat(self.log.fileno()).st_size
-        text = os.pread(self.log.fileno(), 2000, max(0, size - 2000))
+        os.lseek(self.log.fileno(), max(0, size - 2000), os.SEEK_SET)
+        text = os.read(self.log.fileno(), 2000)
         self.close()
         code = self.process.returncode
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
@@ -171,8 +165,7 @@ class SimulatorProcess:
 
     def kill(self):
         """Kill it and what it started; before it is waited for, or at once after, while its number is its."""
-        with suppress(ProcessLookupError):
-            os.killpg(self.process.pid, signal.SIGKILL)
+        system.kill_with_all(self.process)
 
     def leave(self):
         """In a forked process: it is the parent's, whose end it must see."""
@@ -306,4 +299,4 @@ def forget():
 
 
 atexit.register(end_processes)
-os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=forget)
+system.at_fork(_LOCK.acquire, _LOCK.release, forget)

@@ -1,19 +1,18 @@
 """Runs simulations in a process of its own; started as a script, it imports nothing of the package.
 
-A process that hangs can be killed, and one that crashes takes nothing with it. Talks to its parent through
-the socket whose number is its first argument; what a simulator prints goes to its standard error.
+A process that hangs can be killed, and one that crashes takes nothing with it. Its arguments are the file
+`system.py`, with what systems do differently, and what names the connection through which it talks to its
+parent; what a simulator prints goes to its standard error.
 """
 
 import os
 import pickle
-import select
+import runpy
 import shutil
-import signal
 import sys
 import tempfile
 import threading
 import time
-from multiprocessing.connection import Connection
 
 import cloudpickle
 import numpy as np
@@ -67,11 +66,9 @@ def answer(work, arguments, scratch):
 
 def end_with_parent(connection, scratch):
     """Wait until the parent is gone; then end this process and what it started, whatever it is doing."""
-    hangup = select.poll()
-    hangup.register(connection.fileno(), 0)
-    hangup.poll()
+    SYSTEM["wait_for_parent"](connection)
     remove(scratch)
-    os.killpg(0, signal.SIGKILL)
+    SYSTEM["end_with_all"]()
 
 
 def remove(scratch):
@@ -91,8 +88,7 @@ def own_folder(work) -> str:
 
 def main():
     """Load the function, then answer calls, and load others, until the parent is gone."""
-    connection = Connection(int(sys.argv[1]))
-    os.set_inheritable(connection.fileno(), False)
+    connection = SYSTEM["connection_of"](sys.argv[2])
     sys.path[:] = pickle.loads(connection.recv_bytes())
     try:
         works = [cloudpickle.loads(connection.recv_bytes())]
@@ -126,4 +122,5 @@ def load_more(works, payload, drop):
 
 
 if __name__ == "__main__":
+    SYSTEM = runpy.run_path(sys.argv[1])
     main()

@@ -90,7 +90,7 @@ def _write_json(modal: ModalData, path) -> None:
     found = {name: np.where(np.isnan(values), None, values).tolist() for name, values in arrays.items()}
     if modal.channels:
         found["channels"] = list(modal.channels)
-    path.write_text(json.dumps(found, indent=1) + "\n")
+    path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 def _write_universal(modal: ModalData, path) -> None:
@@ -117,7 +117,7 @@ def _write_universal(modal: ModalData, path) -> None:
             if not np.isnan(row).all():
                 lines += [_wholes(node), _reals(np.nan_to_num(row).view(np.float64))]
         lines.append("    -1")
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _wholes(*numbers: int) -> str:

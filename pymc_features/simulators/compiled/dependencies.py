@@ -24,7 +24,7 @@ def module_path(module: str) -> Path | None:
 @cache
 def read(path: Path) -> str:
     """Source of a file."""
-    return path.read_text()
+    return path.read_text(encoding="utf-8")
 
 
 @cache

@@ -25,6 +25,7 @@ from pytensor.tensor.random.type import RandomGeneratorType
 
 from pymc_features._checks import says_where_it_is_full
 from pymc_features.exceptions import CheckpointError
+from pymc_features.system import lock_file
 
 MAGIC = b"pymc_features journal 2\n"
 HEAD = struct.Struct("<QQI")  # rows and columns of the particles, CRC-32 of the run and what follows
@@ -62,7 +63,12 @@ class Journal:
             raise CheckpointError(
                 f"`checkpoint` must hold files that can be written, got {path}: {error.strerror}. {ADVICE}"
             ) from error
-        lock(self.file, path)
+        try:
+            lock_file(self.file)
+        except OSError:
+            raise CheckpointError(
+                f"`checkpoint` must belong to one run at a time, got {path} in use. Wait for the other one."
+            ) from None
         self.file.seek(0)
         start = self.file.read(len(MAGIC))
         if start != MAGIC[: len(start)]:
@@ -231,24 +237,10 @@ def model_fingerprint(model) -> str:
     return digest.hexdigest()
 
 
-def lock(file, path):
-    """Take a file for this process alone, where the system can do that."""
-    try:
-        import fcntl
-    except ImportError:
-        return
-    try:
-        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        raise CheckpointError(
-            f"`checkpoint` must belong to one run at a time, got {path} in use. Wait for the other one."
-        ) from None
-
-
 def read_json(path):
     """Contents of a JSON file of `write_json`, None if there is none."""
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(content, dict) or content.pop("crc32", None) != checksum(content):
             raise ValueError("a wrong sum")
         return content
@@ -263,7 +255,8 @@ def write_json(path, content):
     part = path.with_suffix(f".{os.getpid()}.part")
     try:
         with says_where_it_is_full(path):
-            part.write_text(json.dumps(content | {"crc32": checksum(content)}, indent=1, sort_keys=True))
+            text = json.dumps(content | {"crc32": checksum(content)}, indent=1, sort_keys=True)
+            part.write_text(text, encoding="utf-8")
             os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
