@@ -72,7 +72,7 @@ figure("pairs", ["kind", "parameters", "draws"], place => {
   shown.forEach((name, row) => {
     const id = row ? row + 1 : "", domain = of(n - 1 - row), one = current().parameters[name];
     const hidden = row ? {tickangle: "auto"} : {showticklabels: false, ticks: ""};
-    layout[`xaxis${id}`] = axis(named(name), {...look, domain: of(row)});
+    layout[`xaxis${id}`] = axis(named(name), {...look, domain: of(row), nticks: isSmall ? 2 : 5});
     layout[`yaxis${id}`] = axis(row ? named(name) : "", {...look, domain, ...hidden});
     layout[`yaxis${n + row + 1}`] = {domain, visible: false, range: [0, 1.1], fixedrange: true, anchor: `x${id}`};
     const at = {xaxis: `x${id}`, yaxis: `y${n + row + 1}`};
