@@ -73,7 +73,7 @@ def nodes_of(outputs) -> set:
 
 
 def simulator_functions(nodes) -> list:
-    """Those Ops of nodes that call a simulator function."""
+    """Find the Ops of nodes that call a simulator function."""
     return [node.op for node in nodes if isinstance(node.op, SimulatorRV)]
 
 
