@@ -235,7 +235,7 @@ def add_update(command) -> None:
         "warm-up",
         "compile ahead what most models need",
         "Samples a small model of each family of structures, so that the first model of yours need not wait: "
-        "two minutes, once for a machine and a version. What is compiled is kept on disk.",
+        "three minutes, once for a machine and a version. What is compiled is kept on disk.",
     )
 
 

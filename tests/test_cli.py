@@ -11,10 +11,16 @@ import time
 
 import numpy as np
 import pytest
+from numba import njit
+from numba.core import event
 from rich.console import Console
 
-from pymc_features import cli, progress
+from pymc_features import cli, progress, warm_up
 from pymc_features.cli import make_parser
+from pymc_features.records import Record
+from pymc_features.simulators import simulate
+from pymc_features.simulators.chain.kernels import chain_response
+from pymc_features.simulators.compiled import jit
 from support.commands import ROOT
 
 
@@ -82,6 +88,28 @@ def test_unknown_option_is_exit_code_2(capsys):
         cli.main(["reproduce", "--fast"])
     assert stop.value.code == 2
     assert "--fast" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_warm_up_samples_a_model_of_each_kind(monkeypatch, capsys):
+    """Two of them here: the others take long where nothing is compiled yet."""
+    kept = ("chains with damping ratios", "identified modes")
+    monkeypatch.setattr(warm_up, "STEPS", {name: warm_up.STEPS[name] for name in kept})
+    assert cli.main(["warm-up"]) == 0
+    told = capsys.readouterr().err
+    assert all(line in told for line in (f"[0/2] {kept[0]}", f"[1/2] {kept[1]}", "[2/2] finished"))
+    for structure in warm_up.FAMILIES.values():
+        assert simulate(structure(1.1), Record(np.sin(np.arange(20.0)), 0.02)).shape == (10, 20)
+
+
+def test_the_first_compilation_is_announced_once(monkeypatch, caplog):
+    """And only that of a kernel; what compiles is not run."""
+    caplog.set_level("INFO", "pymc_features")
+    monkeypatch.setattr(jit.FIRST_USE, "is_told", False)
+    for dispatcher in (njit(lambda x: x), chain_response, chain_response):
+        with event.trigger_event("numba:compile", data={"dispatcher": dispatcher}):
+            pass
+    assert [one.getMessage().partition(",")[0] for one in caplog.records] == ["Compiling for this machine"]
 
 
 def test_el_centro_is_the_default():

@@ -144,7 +144,7 @@ class FirstUse(event.Listener):
         if isinstance(event.data["dispatcher"], Kernel) and not self.is_told:
             self.is_told = True
             logging.getLogger("pymc_features").info(
-                "Compiling for this machine, once: the first model of a kind takes 5 to 30 s longer. "
+                "Compiling for this machine, once: the first model of a kind takes up to a minute longer. "
                 "`pymc-features warm-up` compiles ahead."
             )
 
@@ -152,7 +152,8 @@ class FirstUse(event.Listener):
         pass
 
 
-event.register("numba:compile", FirstUse())
+FIRST_USE = FirstUse()
+event.register("numba:compile", FIRST_USE)
 
 
 def jit(function):
