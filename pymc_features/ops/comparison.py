@@ -102,9 +102,7 @@ class MisfitGradient(FromTable, Gradient):
     @property
     def kernel(self):
         """That of e_j alone, if there is one, where nothing else is weighted."""
-        alone = self.kernel_name.replace("misfit_", "").replace("gradient", "discrepancy_gradient")
-        kernel = self.spec.kernels.get(alone) if self.n_statistics == 1 else None
-        return kernel or super().kernel
+        return self.spec.of_squares(self.kernel_name) if self.n_statistics == 1 else super().kernel
 
     @property
     def more_signature(self):

@@ -129,6 +129,11 @@ class Family(NamedTuple):
             | {"sensors": self.sensors, "n_modes": ""}
         )
 
+    def of_squares(self, name: str) -> Callable:
+        """The kernel of a name, or the smaller one that does the same of mean squares alone, if there is one."""
+        alone = name.replace("misfit_", "").replace("gradient", "discrepancy_gradient")
+        return self.kernels.get(alone, self.kernels[name])
+
     def assemble(self, inputs, quantity: int) -> tuple:
         """The three named tuples of a kernel, from inputs in the order of `inputs`."""
         n = len(self.arguments._fields)

@@ -207,7 +207,7 @@ class Asked:
         if self.is_alone:
             kernel, more = ALONE[kernel], (self.observed, *(x[0] for x in more[1:]))
             parameters = parameters._replace(**{name: getattr(parameters, name)[0] for name in self.names})
-        found = self.family.kernels[kernel](parameters, *shared, *more)
+        found = self.family.of_squares(kernel)(parameters, *shared, *more)
         found = (found,) if isinstance(found, np.ndarray) else found
         return tuple(x[None] for x in found) if self.is_alone else tuple(found)
 
