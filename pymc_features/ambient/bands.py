@@ -10,8 +10,8 @@ from pytensor.graph.basic import Apply
 
 from pymc_features._checks import as_numbers, check_finite, message
 from pymc_features.ops.arrays import ArrayOp
+from pymc_features.ops.batches import take_batches
 from pymc_features.ops.numba_dispatch import run_in_python
-from pymc_features.ops.population import take_batches
 from pymc_features.simulators.spectra import MULTIPLE
 
 FEWEST = 8  # frequencies of a band

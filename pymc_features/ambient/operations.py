@@ -8,9 +8,9 @@ from pytensor.graph.rewriting.basic import node_rewriter
 from pytensor.tensor.rewriting.basic import register_specialize
 
 from pymc_features.ops.arrays import ArrayOp, RowOp
+from pymc_features.ops.batches import take_batches
 from pymc_features.ops.gradient import undefined
 from pymc_features.ops.numba_dispatch import run_in_python
-from pymc_features.ops.population import take_batches
 from pymc_features.simulators.spectra import (
     Lines,
     SpectralParameters,

@@ -33,9 +33,9 @@ from pymc_features.modal.transfer import (
     without_rest,
 )
 from pymc_features.ops.arrays import RowOp
+from pymc_features.ops.batches import take_batches
 from pymc_features.ops.declared import cheap_values_at_start, positive_tensor
 from pymc_features.ops.numba_dispatch import run_in_python
-from pymc_features.ops.population import take_batches
 from pymc_features.simulators.request import picked_by_name
 from pymc_features.structures import Structure
 

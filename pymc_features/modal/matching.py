@@ -20,8 +20,8 @@ from pytensor.tensor.random.utils import normalize_size_param
 from scipy.optimize import linear_sum_assignment
 
 from pymc_features.ops.arrays import ArrayOp
+from pymc_features.ops.batches import take_batches
 from pymc_features.ops.numba_dispatch import run_in_python
-from pymc_features.ops.population import take_batches
 
 UNMATCHED = -1e30  # stands for a log-density of -inf in sums of which the largest is sought
 IMPOSSIBLE = 1e100  # what a cost that is infinite or NaN counts as

@@ -13,9 +13,9 @@ from pytensor.tensor.variable import TensorVariable
 from scipy import sparse
 
 from pymc_features._checks import check_integer
+from pymc_features.ops.batches import in_one_call
 from pymc_features.ops.gradient import Gradient, filled
 from pymc_features.ops.numba_dispatch import run_in_python
-from pymc_features.ops.population import in_one_call
 from pymc_features.ops.response import as_data, check_arguments
 from pymc_features.ops.structural import StructuralOp, count, prepared
 from pymc_features.records import Record

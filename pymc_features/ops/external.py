@@ -4,14 +4,16 @@ The Ops call an object with `responses`, `discrepancies` and `gradients` (pymc_f
 of all particles in, arrays (particle, ...) out, NaN for those that failed.
 """
 
+from functools import reduce
+
 import numpy as np
 import pytensor.tensor as pt
 from pytensor.graph.basic import Apply
 from pytensor.graph.op import Op
 from pytensor.graph.replace import _vectorize_node
-from pytensor.tensor.blockwise import Blockwise
 
 from pymc_features.exceptions import NotDifferentiableError
+from pymc_features.ops.batches import in_one_call
 from pymc_features.ops.structural import check_shape
 
 
@@ -215,20 +217,12 @@ class ExternalDiscrepancyGradient(GradientOp):
 
 def most_rows(shapes):
     """Number of particles: rows of a parameter, where they do not share it."""
-    rows = shapes[0][0]
-    for shape in shapes[1:]:
-        rows = pt.maximum(rows, shape[0])
-    return rows
+    return reduce(pt.maximum, (shape[0] for shape in shapes))
 
 
 @_vectorize_node.register(ExternalResponse)
 @_vectorize_node.register(ExternalDiscrepancy)
 def vectorize_external(op, node, *inputs):
-    """One batch dimension of the parameters makes it the Op of a population; others are looped over."""
-    n = op.n_parameters
-    depths = [x.ndim - k for x, k in zip(inputs[:n], op.ndims, strict=True)]
-    more_alone = all(x.ndim == k for x, k in zip(inputs[n:], op.more_ndims, strict=True))
-    if op.batched or not more_alone or max(depths) != 1:
-        return Blockwise(op).make_node(*inputs).outputs
-    rows = [x if depth else x[None] for x, depth in zip(inputs[:n], depths, strict=True)]
-    return type(op)(op.simulator, op.ndims, batched=True).make_node(*rows, *inputs[n:]).outputs
+    """Batches of parameters become the Op of a population; others are looped over."""
+    population = type(op)(op.simulator, op.ndims, batched=True)
+    return in_one_call(op, population, inputs, [*op.ndims, *op.more_ndims])

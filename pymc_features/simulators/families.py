@@ -130,7 +130,7 @@ class Family(NamedTuple):
         )
 
     def of_squares(self, name: str) -> Callable:
-        """The kernel of a name, or the smaller one that does the same of mean squares alone, if there is one."""
+        """The kernel of a name, or the smaller one of mean squares alone, where there is one."""
         alone = name.replace("misfit_", "").replace("gradient", "discrepancy_gradient")
         return self.kernels.get(alone, self.kernels[name])
 
