@@ -109,6 +109,11 @@ def test_tables_are_those_of_the_catalogues():
     assert found == wanted, "run `python docs/tables.py`"
 
 
+def test_notebooks_are_listed_by_their_numbers():
+    numbers = [path.name.partition("_")[0] for path in from_docs("notebook_list").notebooks()]
+    assert numbers == [str(number) for number in range(1, len(numbers) + 1)]
+
+
 def test_the_figure_can_be_drawn_anew(tmp_path):
     """From a short record; that of the page is of El Centro and takes ten seconds."""
     record = pymc_features.synthetic_earthquake(4.0, 0.02, random_seed=1, pga=3.0)

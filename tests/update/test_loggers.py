@@ -116,6 +116,8 @@ def test_loggers(tmp_path, logger):
     )
     np.testing.assert_allclose(measured.record.acceleration[inner], BASE[inner], atol=1e-5)
     assert measured.units == ("m" if logger == "by sensor" else "m/s^2")
+    files = measured.source.split(", ")
+    assert len(files) == len(set(files))
     model = declare(problem, "EXP")
     logp = model.compile_logp()
     wrong, right = (logp({"k1_log__": np.log(k)}) for k in (2.4e6, 1.8e6))

@@ -88,7 +88,7 @@ def read_all(data, folder) -> tuple[xr.DataArray, str]:
         paths = [folder / name for name in names] if isinstance(data.files, list) else folder / data.files
     keys = {"columns", "units", "dt", "clock", "clock_units", "skip", "wrapped", "resample"}
     settings = data.model_dump(include=keys, exclude_none=True)
-    source = ", ".join(Path(name).name for name in names)
+    source = ", ".join(dict.fromkeys(Path(name).name for name in names))
     if data.gaps == "leave_out":
         return read_channels_with_gaps(paths, **settings), source
     try:
