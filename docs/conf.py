@@ -12,18 +12,17 @@ author = "The pymc_features authors"
 extensions = [
     "myst_parser",
     "numpydoc",
+    "formulas",
     "gallery",
     "notebook_list",
     "public_names",
     "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
 ]
 html_theme = "furo"
 html_title = "pymc_features"
 exclude_patterns = ["_build"]
 templates_path = []
 
-myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 
 autodoc_typehints = "none"  # types, shapes and units are in the docstrings

@@ -18,7 +18,7 @@ from pymc_features.modal import ModalData
 from pymc_features.modal.files import read_modal
 from pymc_features.records import Record
 
-__all__ = ["Footbridge", "el_centro", "footbridge", "mini_shake_table"]
+__all__ = ["Footbridge", "el_centro", "footbridge", "mini_shake_table", "rc_column"]
 __dir__ = __all__.copy
 
 #: Name of the environment variable with the folder that is searched before the network.

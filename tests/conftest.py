@@ -177,3 +177,16 @@ def no_network(monkeypatch):
         return connect(self, address)
 
     monkeypatch.setattr(socket.socket, "connect", guarded)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium, for tests marked by `needs_browser`; pages that move use a processor while they are open."""
+    from playwright.sync_api import sync_playwright
+
+    from support.browser import CHROMIUM
+
+    with sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield opened
+        opened.close()

@@ -233,7 +233,7 @@ class TruncNormalFeature(FeatureLikelihood):
 
     .. math::
 
-        \ln p = \sum_j \left[ \tfrac12 \ln\tfrac{2}{\pi} - \ln\sigma - \frac{e_j}{2 \sigma^2} \right],
+        \ln p = \sum_j \left[ \frac{1}{2} \ln\frac{2}{\pi} - \ln\sigma - \frac{e_j}{2 \sigma^2} \right],
         \qquad e_j = \frac{1}{N_D} \sum_k [y_j(k) - g_j(k; \theta)]^2
 
     Its uncertainty does not depend on the sampling rate of the data.
@@ -468,7 +468,7 @@ class GammaFeature(FeatureLikelihood):
 
     .. math::
 
-        \ln p = \sum_j \left[ -\tfrac{m_j}{2} \ln 2 - \ln\Gamma(\tfrac{m_j}{2} + 1) - m_j \ln\sigma
+        \ln p = \sum_j \left[ -\frac{m_j}{2} \ln 2 - \ln\Gamma(\frac{m_j}{2} + 1) - m_j \ln\sigma
         - \frac{e_j}{2 \sigma^2} \right],
         \qquad e_j = \frac{1}{N_D} \sum_k [y_j(k) - g_j(k; \theta)]^2
 

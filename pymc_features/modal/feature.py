@@ -128,7 +128,7 @@ class ModalFeature(Continuous):
         \ln \hat f_i = \ln f_r + b + n_i, \quad b \sim \mathcal{N}(0, \sigma_f^2), \quad
         n_i \sim \mathcal{N}(0, s_i^2), \qquad
         C = \sigma_\phi^2 \, 1 1^T + \tau^2 I, \quad
-        \ln p = -\tfrac{1}{2} [\, m \ln |C| + \mathrm{tr}(C^{-1} D) \,], \quad D_{ij} = d_i \cdot d_j
+        \ln p = -\frac{1}{2} [\, m \ln |C| + \mathrm{tr}(C^{-1} D) \,], \quad D_{ij} = d_i \cdot d_j
 
     with b integrated out in closed form; likewise ln zeta, with t_i the ratio of `damping_sd` to the damping
     ratio. The scatter is `frequency_sd`, or where there is none the deviation from the mean of each mode,

@@ -5,7 +5,6 @@ from matplotlib.figure import Figure
 
 from pymc_features.update import write_example
 from support.blank_figures import blank
-from support.browser import CHROMIUM
 from support.update_files import SMALL, replaced
 
 
@@ -39,14 +38,3 @@ def blank_figures(request, monkeypatch):
     """
     if "drawn" not in request.fixturenames:
         monkeypatch.setattr(Figure, "savefig", blank)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Chromium, for tests marked by `needs_browser`; pages that move use a processor while they are open."""
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield opened
-        opened.close()
