@@ -19,7 +19,7 @@ from pymc_features import (
 )
 from pymc_features.update import read_problem, run_update, write_example
 from pymc_features.update.kinds.responses import Responses, measured_gain, residuals_of
-from pymc_features.update.report.document import overlap_of
+from pymc_features.update.report.document import leans, overlap_of
 from support.update_files import replaced
 
 MASS, STIFFNESS = [0.1601, 0.1601, 0.1421], [385.0, 420.0, 600.0]
@@ -181,6 +181,25 @@ def test_overlap_against_the_closed_form():
     for distance in (0.0, 0.5, 2.0):
         found = overlap_of(prior, distance + rng.standard_normal(40_000))
         assert found == pytest.approx(2.0 * stats.norm.cdf(-distance / 2.0), abs=0.02)
+
+
+LEANS = {
+    "a scale far below its prior's": (stats.halfnorm(), 0.003, 1e-4, False),
+    "a scale that may be zero": (stats.halfnorm(), 0.003, 0.003, True),
+    "a scale beyond what was expected": (stats.halfnorm(), 3.0, 0.01, True),
+    "inside bounds": (stats.uniform(), 0.007, 1e-4, False),
+    "at a bound": (stats.uniform(), 0.995, 0.003, True),
+    "in a tail": (stats.norm(), -2.7, 0.01, True),
+    "in a long tail": (stats.lognorm(0.3), 2.2, 0.01, True),
+    "in the middle": (stats.norm(), 0.5, 1.0, False),
+}
+
+
+@pytest.mark.parametrize("prior, middle, deviation, expected", LEANS.values(), ids=LEANS)
+def test_which_posteriors_lean_on_the_edge_of_the_prior(prior, middle, deviation, expected):
+    """Of 4,000 draws, as the command has them, by ten seeds."""
+    found = [leans(prior.rvs(4000, random_state=seed), middle, deviation) for seed in range(10)]
+    assert found == [expected] * 10
 
 
 @pytest.mark.parametrize("size", [40, 600])

@@ -188,16 +188,28 @@ def names_in_doubt(part, rows: list[Row]) -> dict[str, list[str]]:
     wide = [row for row in rows if row.taught < TAUGHT]
     apart = [direction for direction in stats_of(part).attrs.get("undetermined", "").split(", ") if direction]
     covered = part["bands"].get("coverage") if "bands" in part.children else None
-    edges = {row.name: np.quantile(part["prior"][row.name].values, [0.01, 0.99]) for row in rows}
     return {
         "chains": [row.name for row in rows if row.r_hat > limit],
         "draws": [row.name for row in rows if row.ess < FEWEST * part["posterior"].sizes["chain"]],
         "prior": [row.name for row in wide if row.overlap > MOVED],
         "moved": [row.name for row in wide if row.overlap <= MOVED],
         "apart": [name for name in apart if name not in [row.name for row in wide]],
-        "edge": [row.name for row in rows if not edges[row.name][0] < row.q50 < edges[row.name][1]],
+        "edge": [row.name for row in rows if leans(part["prior"][row.name].values, row.q50, row.sd)],
         "band": [] if covered is None else covered["sensor"].values[covered.values < COVERED].tolist(),
     }
+
+
+def leans(prior, middle, deviation) -> bool:
+    """Whether a posterior lies in a tail of its prior, or within three deviations of the end of a prior.
+
+    Looked for beyond 1 % of the draws of the prior; a tail is less than half as dense as up to the median.
+    A scale near zero under a half-normal prior lies in no tail.
+    """
+    for draws, place in ((prior, middle), (-prior, -middle)):
+        end, low, median = np.quantile(draws, [0.0, 0.01, 0.5])
+        if place < low:
+            return 0.01 * (median - low) < 0.5 * 0.49 * (low - end) or place - end < 3.0 * deviation
+    return False
 
 
 def changed(rows: list[Row]) -> str:
@@ -205,7 +217,8 @@ def changed(rows: list[Row]) -> str:
     moved, same = [], []
     for row in sorted(rows, key=lambda row: row.overlap):
         is_same = row.overlap > MOVED and row.taught < TAUGHT
-        (same if is_same else moved).append(f"{row.name} ({row.overlap:.2f})")
+        overlap = f"{row.overlap:.2f}" if row.overlap > 1.0 / BINS else f"at most {1.0 / BINS:.2f}"
+        (same if is_same else moved).append(f"{row.name} ({overlap})")
     told = f"The data changed {', '.join(moved) or 'no parameter'}"
     told += f"; they left as they were {', '.join(same)}" if same else ""
     return f"{told}. In brackets the overlap of prior and posterior: 1 if they are the same."
