@@ -156,7 +156,9 @@ def prior_posterior(
         panels.module.xlim(spans[name], target)
         panels.module.remove_axis(target, axis="y")
         if panels.is_matplotlib:
-            target.xaxis.get_major_locator().set_params(nbins=4)
+            told = target.xaxis.get_major_formatter().format_ticks(target.get_xticks())
+            fewer = max(map(len, told), default=0) > 6  # 0.00975, beside which as long a number has no room
+            target.xaxis.get_major_locator().set_params(nbins=2 if fewer else 4)
     collection.add_legend("group", title="", **panels.legend)
     return panels.drawn(collection)
 

@@ -223,6 +223,19 @@ def test_prior_posterior_figure(updated):
         plots.prior_posterior(updated, ["c"])
 
 
+def test_long_numbers_below_small_panels_do_not_touch():
+    draws = np.random.default_rng(0).normal(size=(1, 2000))
+    values = {f"p{i}": (("chain", "draw"), 0.01005 + 3.9e-5 * draws) for i in range(4)}
+    wide = {name: (dims, 0.01 + 50.0 * (x - 0.01)) for name, (dims, x) in values.items()}
+    tree = xr.DataTree.from_dict({"prior": xr.Dataset(wide), "posterior": xr.Dataset(values)})
+    for ax in plots.prior_posterior(tree):
+        ax.figure.canvas.draw()
+        (first, last), shown = ax.get_xlim(), ax.get_xticklabels()
+        boxes = [label.get_window_extent() for label in shown if first <= label.get_position()[0] <= last]
+        assert len(boxes) > 1
+        assert all(left.x1 < right.x0 for left, right in zip(boxes, boxes[1:], strict=False))
+
+
 def test_prior_posterior_figure_is_not_stretched_by_one_far_draw():
     rng = np.random.default_rng(1)
     draws = np.append(rng.standard_normal(4999), 40.0)
