@@ -157,8 +157,8 @@ def prior_posterior(
         panels.module.remove_axis(target, axis="y")
         if panels.is_matplotlib:
             told = target.xaxis.get_major_formatter().format_ticks(target.get_xticks())
-            fewer = max(map(len, told), default=0) > 6  # 0.00975, beside which as long a number has no room
-            target.xaxis.get_major_locator().set_params(nbins=2 if fewer else 4)
+            fewer = max(map(len, told), default=0) > 6  # such as 0.00975: four of them would touch
+            target.xaxis.get_major_locator().set_params(nbins=3 if fewer else 4)
     collection.add_legend("group", title="", **panels.legend)
     return panels.drawn(collection)
 

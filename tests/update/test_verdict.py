@@ -191,6 +191,7 @@ LEANS = {
     "at a bound": (stats.uniform(), 0.995, 0.003, True),
     "in a tail": (stats.norm(), -2.7, 0.01, True),
     "in a long tail": (stats.lognorm(0.3), 2.2, 0.01, True),
+    "in the lower tail of a wide one": (stats.lognorm(1.0), 0.075, 1e-4, True),
     "in the middle": (stats.norm(), 0.5, 1.0, False),
 }
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import math
 import re
 import warnings
 from math import ceil
@@ -241,18 +240,11 @@ def corrections(gains, data) -> list[str]:
         lines.append(f"scale = {inline({name: f for name, f in scale.items() if f != 1.0})}")
     if late.any():
         given = data.delay or {}
-        known = gains["lag_error"].values
-        own = {name: (t, error) for name, t, error in zip(names, late, known, strict=True) if t}
-        put_right = {name: to_error(given.get(name, 0.0) + t, error) for name, (t, error) in own.items()}
-        lines.append(f"delay = {inline({name: t for name, t in (given | put_right).items() if t})}")
+        delay = given | {name: given.get(name, 0.0) + float(t) for name, t in zip(names, late, strict=True)}
+        lines.append(f"delay = {inline({name: t for name, t in delay.items() if t})}")
     if order := gains.attrs.get("order"):
         lines.append(f"sensors = {json.dumps([name for name in order if name in data.sensors])}")
     return lines
-
-
-def to_error(value, error) -> float:
-    """A number with two digits of its standard error."""
-    return round(float(value), 1 - math.floor(math.log10(max(error, 1e-12))))
 
 
 def inline(values) -> str:

@@ -202,13 +202,15 @@ def names_in_doubt(part, rows: list[Row]) -> dict[str, list[str]]:
 def leans(prior, middle, deviation) -> bool:
     """Whether a posterior lies in a tail of its prior, or within three deviations of the end of a prior.
 
-    Looked for beyond 1 % of the draws of the prior; a tail is less than half as dense as up to the median.
+    Looked for beyond 1 % of the draws of the prior; a tail is less than half as dense as where it is densest.
     A scale near zero under a half-normal prior lies in no tail.
     """
     for draws, place in ((prior, middle), (-prior, -middle)):
-        end, low, median = np.quantile(draws, [0.0, 0.01, 0.5])
+        end, low = np.quantile(draws, [0.0, 0.01])
         if place < low:
-            return 0.01 * (median - low) < 0.5 * 0.49 * (low - end) or place - end < 3.0 * deviation
+            narrowest = np.diff(np.quantile(draws, np.linspace(0.0, 1.0, BINS + 1))).min()
+            is_tail = 0.01 * narrowest < 0.5 * (low - end) / BINS
+            return is_tail or place - end < 3.0 * deviation
     return False
 
 
