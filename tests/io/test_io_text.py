@@ -179,6 +179,53 @@ def test_milliseconds(tmp_path):
     assert read_record(write(tmp_path, ["time [ms] acc", *rows]), units="g").dt == 0.005
 
 
+STATEMENTS = {
+    "fs = 100 Hz": 0.01,
+    "# Sampling rate: 0.1 kHz": 0.01,
+    "fs,100": 0.01,
+    "Sampling rate 200 Hz, 4 channels": 0.005,
+    "Sample Frequency (Hz);51.2": 1.0 / 51.2,
+    "Sampling interval (ms): 5": 0.005,
+    "dt=.0050 SEC": 0.005,
+    "sampling interval 5 of 12": None,
+    "load step 1": None,
+    "offset = 100": None,
+}
+
+
+@pytest.mark.parametrize(("line", "dt"), STATEMENTS.items())
+def test_steps_and_rates_above_the_numbers(tmp_path, line, dt):
+    path = write(tmp_path, [line, "roof (g)", *(f"{0.1 * k:.2f}" for k in range(9))])
+    if dt is None:
+        with pytest.raises(ValueError, match="`dt` must be given"):
+            read_record(path)
+    else:
+        assert read_record(path).dt == pytest.approx(dt)
+
+
+def test_rates_beside_clocks(tmp_path):
+    """Numbers of samples take the step; a clock must agree; two lines must agree."""
+    rows = [f"{k} {0.1 * k:.2f}" for k in range(9)]
+    assert read_record(write(tmp_path, ["fs: 50 Hz", "Sample roof(g)", *rows])).dt == 0.02
+    with pytest.raises(
+        ValueError, match="contradicts itself, it states a step of 0.02 s and its clock 0.01 s"
+    ):
+        read_record(write(tmp_path, ["fs: 50 Hz", "t(ms) roof(g)", *(f"{10 * k} 0.1" for k in range(9))]))
+    with pytest.raises(ValueError, match=r"more than one time step \(line 1: 0.02 s, line 2: 0.01 s"):
+        read_record(write(tmp_path, ["fs: 50 Hz", "dt: 0.01", "Sample roof(g)", *rows]))
+
+
+def test_clocks_of_days_and_of_counts_since_1970(tmp_path):
+    days = [f"{45000.5 + k / 8640000:.10f} {0.1 * k:.2f}" for k in range(9)]
+    with pytest.raises(ValueError, match="has a step of 1.16e-07, as days do from 45000.5 on"):
+        read_record(write(tmp_path, ["Date roof(g)", *days]))
+    found = read_channels(write(tmp_path, ["Date roof(g)", *days]), clock_units="d")
+    assert float(found["time"][1]) == pytest.approx(0.01, rel=1e-4)
+    for counts in (10**3, 10**6):
+        rows = [f"{1_700_000_000 * counts + k * counts // 100} 0.1" for k in range(9)]
+        assert read_record(write(tmp_path, ["timestamp roof(g)", *rows])).dt == pytest.approx(0.01)
+
+
 def test_dt_that_contradicts_the_time_column(tmp_path):
     path = write(tmp_path, ROWS)
     with pytest.warns(UserWarning, match="elcentro.csv states a time step of 0.02 s; the argument"):

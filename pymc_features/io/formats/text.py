@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import require
+from pymc_features._checks import listed, require
 from pymc_features.io.reading.labels import BRACKETS, WORD, Label, role_of, unit_of
 from pymc_features.io.reading.lines import Lines, finite, not_a_number, to_number
 from pymc_features.io.reading.recording import Columns, Recording, Request, clock_column, recording_of
@@ -35,6 +35,14 @@ STAMP = re.compile(
     rf"(?a)(?:(?P<date>{DATE})(?:T|[ ,;]\s*))?"
     r"(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?P<fraction>[.,]\d+)?)?"
     r"(?P<half>\s?[AaPp][Mm])?(?P<zone>\s?Z|\s?UTC|\s?GMT|\s?[+-]\d\d:?\d\d)?"
+)
+#: A rate or a step above the numbers: "fs = 100 Hz", "Sampling interval (ms): 5", "Sampling rate 200 Hz".
+STATED = re.compile(
+    r"(?i)(?<![a-z])"
+    r"(?:(?P<step>dt|delta[ _]?t|time[ _-]?step|(?:sampling|sample|scan)[ _-]*(?:interval|period))|fs|"
+    r"(?:sampling|sample|scan|acquisition)[ _-]*(?:rate|frequency|freq)|abtast(?:rate|frequenz)|messrate)"
+    r"\s*(?:[\[(](?P<unit>[^\])]*)[\])]\s*)?(?P<mark>[:=,;\s])[=\s]*(?P<number>[\d.,]*\d(?:e[+-]?\d+)?)"
+    r"\s*(?P<behind>[a-zµμ/]*)"
 )
 
 
@@ -127,7 +135,8 @@ def read_columns(path: Path, request: Request) -> Columns:
         with suppress(ValueError, OverflowError):  # of a row that is not as the first
             found = _by_pandas(lines, start, top[0].rstrip(), layout)
     origin, values = found or _cell_by_cell(lines, first, layout, request)
-    labels, own, unit = _labels(header, layout)
+    dt, stating = stated_step(path.name, header, layout.decimal)
+    labels, own, unit = _labels(header, layout, stating)
     rows_in_line = 1.0
     if request.wrapped:
         values = values[~np.isnan(values)]
@@ -148,7 +157,25 @@ def read_columns(path: Path, request: Request) -> Columns:
         return _resolution(sum(rows, []), largest, stamped)
 
     stamp = layout.stamp[0] if layout.stamp else None
-    return Columns(path.name, labels, values, where, resolution, own, stamp, origin, unit)
+    return Columns(path.name, labels, values, where, resolution, own, stamp, origin, unit, dt)
+
+
+def stated_step(file: str, header, decimal: str) -> tuple[float | None, list[int]]:
+    """The step [s] that lines above the numbers state, as a step or as a rate, and which lines."""
+    steps = {}
+    for number, line, _ in header:
+        for found in STATED.finditer(line):
+            quantity, usual = ("time", "s") if found["step"] else ("frequency", "Hz")
+            unit = unit_of(found["unit"] or found["behind"] or usual, quantity)
+            value = to_number(found["number"].replace(",", "." if decimal == "," else ","))
+            if value and (unit or found["mark"] in ":=,;"):
+                in_si = value * (unit.factor if unit else 1.0)  # samples per second
+                steps[number] = in_si if found["step"] else 1.0 / in_si
+    first = next(iter(steps.values()), None)
+    if not np.allclose([*steps.values()], first or 0.0, rtol=1e-3, atol=0.0):
+        said = listed([f"line {number}: {step:g} s" for number, step in steps.items()])
+        raise ValueError(f"{file} contradicts itself, it states more than one time step ({said}).")
+    return first, list(steps)
 
 
 def read_text(path: Path, request: Request) -> Recording:
@@ -241,14 +268,18 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
         below_labels |= len(cells) == layout.n_columns and len(odd) == len(rest)
 
 
-def _labels(header: list[tuple[int, str, bool]], layout: Layout) -> tuple[list[Label], bool, str | None]:
-    """What stands above each column, whether it is more than a title, and the unit of all without labels."""
+def _labels(header, layout: Layout, stating: list[int]) -> tuple[list[Label], bool, str | None]:
+    """What stands above each column, whether it is more than a title, and the unit of all without labels.
+
+    Of the lines of the header those that are `stating` a rate are no labels.
+    """
 
     def is_of_units(cells: list[str]) -> bool:
         known = all(unit_of(cell.strip("[]()")) or cell in NO_UNIT for cell in cells)
         return cells[0] == "TS" or (any(cells) and known)
 
-    named = [cells for _, line, _ in header if (cells := _named(line, layout))]
+    candidates = (line for number, line, _ in header if number not in stating)
+    named = [cells for line in candidates if (cells := _named(line, layout))]
     units = [cells for cells in named if is_of_units(cells)]
     named = [cells for cells in named if cells not in units]
     texts = [cells for cells in named if all(to_number(cell) is None for cell in cells)]

@@ -18,7 +18,8 @@ TINY, ALONE = 1e-60, 1e3  # over the largest value, and the largest over the sec
 FEWEST = 10  # values among which one can be told
 #: Seconds per count of the microsecond counter in exports of Movella (Xsens) DOT sensors, by its label.
 COUNTERS = {"sampletimefine": 1e-6}
-SECONDS = 'Pass "s", "ms", "us" or the seconds per count'
+DAYS = (2e4, 8e4), (7e5, 8e5)  # of spreadsheets and of MATLAB, in the years 1954 to 2119 and 1916 to 2190
+SECONDS = 'Pass "s", "ms", "us", "d" or the seconds per count'
 
 
 class Request(NamedTuple):
@@ -306,7 +307,8 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
     if asked is None and label.unit is not None and not stated:
         said = f"{file} states {label.unit!r} of its clock, which is no known unit of time"
         raise ValueError(f"`clock_units` must be given, {said}. {SECONDS}.")
-    stated = asked or stated or COUNTERS.get(label.name.lower())
+    since_1970 = (unit for unit in (1e-3, 1e-6, 1e-9) if 1e9 <= unit * readings[0] < 4e9)  # from 2001 on
+    stated = asked or stated or COUNTERS.get(label.name.lower()) or next(since_1970, None)
     scale = stated or 1.0
     for index, other in enumerate(columns.labels):  # each channel may have times of its own
         is_time = role_of(other.name) == "time" and other.seconds is not None
@@ -322,11 +324,14 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
     step, numbers = even_clock(times, lambda k: columns.where(k, timer), quantum, request.gaps, request.dt)
     if step is None:
         return {"dt": None}, numbers
-    if step >= 1.0 and stated is None:  # a counter, or other units
-        if request.dt is None:
-            said = f"the clock of {file} (column {timer}) has a step of {step:g}, too long for seconds"
+    is_days = step < 2e-5 and any(low < readings[0] < high for low, high in DAYS)
+    if stated is None and (step >= 1.0 or is_days):  # a counter, or other units
+        dt = request.dt or columns.dt
+        if dt is None:
+            why = f", as days do from {readings[0]:.10g} on" if is_days else ", too long for seconds"
+            said = f"the clock of {file} (column {timer}) has a step of {step:.3g}{why}"
             raise ValueError(f"`clock_units` must be given, {said}. {SECONDS}, or `dt`.")
-        scale, quantum, step = request.dt / step * scale, quantum * request.dt / step, request.dt
+        scale, quantum, step = dt / step * scale, quantum * dt / step, dt
     if columns.dt is not None and not np.isclose(columns.dt, step, rtol=1e-3, atol=0.0):
         said = f"it states a step of {columns.dt:g} s and its clock {step:g} s"
         raise ValueError(f"{file} contradicts itself, {said}. Pass `clock_units`, or clock=False and `dt`.")
