@@ -116,6 +116,7 @@ def read_frequency_response(
     for source, f, values, *_ in functions:
         rises = values.shape == f.shape and f.size > 1 and (np.diff(f) > 0.0).all()
         _must(rises, source, "have values at two or more rising frequencies", f"{values.size} at {f.size}")
+        _must(f[0] >= 0.0, source, "have no negative frequencies", f"{f[0]:g} Hz", "Cut it to the others.")
         _must(np.isfinite(values).all(), source, "be finite", f"NaN at {f[~np.isfinite(values)][:1]} Hz")
         _must(np.imag(values).any(), source, "be complex", "real parts alone")
         steps = np.diff(f) / np.median(np.diff(f))

@@ -72,6 +72,10 @@ def test_channels_with_clocks_of_their_own(tmp_path):
         pmf.read_channels(path)
     found = pmf.read_channels(path, clock=2, columns=3)
     assert float(found["time"][1]) == pytest.approx(0.015)
+    late = [(t, a, t + 0.1, b) for t, a, b in ROWS]  # one channel begins a tenth of a second later
+    path = table(tmp_path, "time [s],a [g],time [s],b [g]", "{:.2f},{:.9f},{:.3f},{:.9f}", rows=late)
+    with pytest.raises(ValueError, match="which run apart"):
+        pmf.read_channels(path)
 
 
 STAMPS = "05-Mar-2024 10:20:{:05.2f}", "05.03.24 10:20:{:05.2f}", "2024-03-05T10:20:{:05.2f} UTC"

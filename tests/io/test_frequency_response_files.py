@@ -343,6 +343,12 @@ def test_tables_that_are_broken(tmp_path, labels, columns, arguments, match):
         read_frequency_response(table(tmp_path / "beam.csv", labels, F, *columns), **SI | arguments)
 
 
+def test_two_sided_functions(tmp_path):
+    path = table(tmp_path / "beam.csv", "f,real,imaginary", F - F.mean(), *pairs(H))
+    with pytest.raises(ValueError, match="must have no negative frequencies, got -"):
+        read_frequency_response(path, **SI)
+
+
 def test_what_the_argument_says_of_a_column(tmp_path):
     path = table(tmp_path / "beam.csv", "f,magnitude,phase", F, DB, np.degrees(np.angle(H)))
     found = values(path, columns=["f [Hz]", "magnitude [dB re 100 (m/s^2)/N]", "phase [deg]"], **PLACES)

@@ -104,6 +104,31 @@ def test_complex_entries(tmp_path, unit):
     assert not read_modal(save(tmp_path, text)).is_complex
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "frequency,a re,a im,b_real,b_imag\n1,0,0.5,-1,0\n",
+        "frequency,a mag,a phase [deg],b,b.angle (rad)\n1,0.5,90,1,3.141592653589793\n",
+    ],
+)
+def test_complex_entries_in_two_columns(tmp_path, text):
+    modal = read_modal(save(tmp_path, text), real=False)
+    assert modal.channels == ("a", "b")
+    np.testing.assert_allclose(modal.shapes, [[0.5j, -1.0]], atol=1e-15)
+    np.testing.assert_allclose(read_modal(save(tmp_path, text), channels=["b"], real=False).shapes, [[-1.0]])
+
+
+@pytest.mark.parametrize("names", [",first,second\n", ""])
+def test_a_table_on_its_side(tmp_path, names):
+    modal = read_modal(
+        save(tmp_path, f"{names}frequency [Hz],1,3\ndamping [%],2,4\nroof,1,-0.5\nbase,0,0.5\n")
+    )
+    np.testing.assert_array_equal(modal.frequencies, [1.0, 3.0])
+    np.testing.assert_array_equal(modal.damping_ratios, [0.02, 0.04])
+    assert modal.channels == ("roof", "base")
+    np.testing.assert_array_equal(modal.shapes, [[1.0, 0.0], [-0.5, 0.5]])
+
+
 def test_indicators_are_no_channels(tmp_path):
     """What programs of identification write beside shapes; it can be asked for."""
     labels = ["MPC", "model order", "Mean Phase [deg]", "MSV", "Period [s]", "Quality"]
@@ -143,7 +168,11 @@ TABLES = {
     "each channel must have a column of its own, got 'shapes' for shapes": ("frequency,shapes\n1,1\n", {}),
     "damping must be there once, got fractions and": ("frequency,damping,damping [%]\n1,0.01,1\n", {}),
     "must have the names of its columns in the first line, got the number '1.0'": ("1.0,2.0\n3.0,4.0\n", {}),
-    "must have a row for each mode and a column for each": ("frequency,1.0,2.0\nroof,0.5,1.0\n", {}),
+    "the column 'std .Hz.' must be a channel, its unit is one of frequency. L": (
+        "frequency,std (Hz),a\n1,0.1,1\n",
+        {},
+    ),
+    "must say whether the phase 'a phase' is in degrees or": ("frequency,a mag,a phase\n1,1,180\n", {}),
     "modes.csv, line 3: rows must have 2 cells like the header, got 3": ("frequency,roof\n1,2\n1,5,2\n", {}),
     "modes.csv, line 2: the column 'roof' must hold numbers, got 'high'": ("frequency,roof\n1,high\n", {}),
     "line 2: the column 'frequency' must hold numbers, got '1.0-0.1j'": ("frequency,roof\n1.0-0.1j,1\n", {}),

@@ -34,7 +34,7 @@ UNITS = {
     "temperature": {"degC": 1.0, "°C": 1.0},
     "angular velocity": {"deg/s": 1.0, "°/s": 1.0, "rad/s": 1.0, "dps": 1.0},
     "magnetic field": {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "gauss": 1e-4},
-    "angle": {"deg": 1.0, "°": 1.0, "rad": 1.0, "mrad": 1e-3},
+    "angle": {"deg": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0, "mrad": 1e-3},
 }
 #: The SI unit of a quantity that sensors measure.
 SI = {"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m"}

@@ -313,8 +313,9 @@ def _clock(columns: Columns, timer: int | None, request: Request) -> tuple[dict,
     for index, other in enumerate(columns.labels):  # each channel may have times of its own
         is_time = role_of(other.name) == "time" and other.seconds is not None
         if request.clock is None and index != timer and is_time:
-            times = other.seconds * columns.values[:, index]
-            apart = times - times[0] - scale * (readings - readings[0])
+            apart = other.seconds * columns.values[:, index] - scale * readings
+            if abs(apart[0]) > scale * np.ptp(readings):
+                apart = apart - apart[0]  # one is since the start, the other of the day
             if np.nanmax(np.abs(apart)) > 0.5 * scale * np.nanmedian(np.diff(readings)):
                 said = f"{file} has {label.text!r} and {other.text!r}, which run apart"
                 advice = "Read the channels of each clock by themselves, by `clock` and `columns`."

@@ -9,7 +9,9 @@ each test has a column for each mode in place of `frequency`: f1 [Hz], f2 [Hz]; 
 
 Columns that are no quantity are channels, but for what says how well a mode was identified: MPC, the order of
 the model, and others of `INDICATORS`. `roof_sd` beside `roof` is the standard deviation of its entries.
-An empty cell, or nan, is an entry that was not measured. Complex entries are written as 0.3-0.1j.
+An empty cell, or nan, is an entry that was not measured. Complex entries are written as 0.3-0.1j, or in two
+columns: `roof real` and `roof imag`, or `roof mag` (or `roof`) and `roof phase [deg]`. A table that lies on
+its side, with names of quantities and channels in its first column, is turned.
 """
 
 import csv
@@ -20,11 +22,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pymc_features.io.reading.labels import without_brackets
+from pymc_features.io.reading.labels import Label, unit_of, without_brackets
 from pymc_features.io.reading.lines import LONGEST_NUMBER, Lines, to_number
 from pymc_features.modal.data import find_channels, listed, refusal
 from pymc_features.modal.files.quantities import (
     ALIKE,
+    PER_MODE,
     SPREADS,
     labelled_quantities,
     mode_values,
@@ -50,6 +53,10 @@ INDICATORS = re.compile(
     "mpcw?|mpd|e?mac|msv|mcv|mcf|cmi|uml|mif|period|quality|(model)?order|(mean)?phase(deviation|scatter)?|"
     "confidence|count|clustersize|poles|test(no)?|run|setup|date|time|temperature"
 )
+#: Which part of a complex entry a column is, by the end of its name.
+PARTS = {"magnitude": "mag magnitude amp amplitude abs modulus", "phase": "phase angle arg"}
+PARTS |= {"real": "re real", "imaginary": "im imag imaginary"}
+PARTS = {word: part for part, words in PARTS.items() for word in words.split()}
 _OF_MODE = re.compile(r"(?:f|freq|frequency|mode)[ _]?(\d+)(?:[ _]?(?:\[hz\]|\(hz\)|hz))?", re.IGNORECASE)
 _COMPLEX = re.compile(r"([-+]?[^-+ij]+(?:[eE][-+]?\d+)?)([-+][^-+ij]+(?:[eE][-+]?\d+)?)[ij]", re.ASCII)
 
@@ -64,7 +71,7 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> dict:
             rows.append((where, _cells(line, separator, where)))
     if not rows:
         raise ValueError(f"{file} must hold modes, it is empty. Save a row for each mode, below a header.")
-    (_, header), *body = rows
+    (_, header), *body = _upright(file, rows)
     _check_header(file, header)
     for where, cells in body:
         if len(cells) != len(header):
@@ -89,7 +96,7 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> dict:
         got = f"{header[places[whole[0]]]!r} for {whole[0]}"
         what = f"{file}: each channel must have a column of its own"
         raise refusal(what, got, "Rename it after its channel.")
-    channels, spreads = _channels(file, header, places, wanted)
+    channels, spreads, parts = _channels(file, header, places, wanted)
     mode = places.pop("mode", None)
     if not body:
         raise ValueError(below.format(file, "mode"))
@@ -99,7 +106,12 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> dict:
         found["labels"] = labels
     if channels:
         found["channels"] = list(channels)
-        found["shapes"] = np.array([column(place, True) for place in channels.values()]).T
+        entries = {name: column(place, True) for name, place in channels.items()}
+        for name in parts.keys() & channels.keys():
+            place, unit = parts[name]
+            other = column(place)
+            entries[name] = entries[name] * np.exp(1j * unit * other) if unit else entries[name] + 1j * other
+        found["shapes"] = np.array(list(entries.values())).T
     if channels and spreads:
         unknown = np.full(len(body), np.nan)
         found["shape_sd"] = np.array(
@@ -116,24 +128,33 @@ def _cells(line: str, separator: str, where: str) -> list[str]:
         raise refusal(what, error, "Correct the line.") from None
 
 
+def _upright(file: str, rows: list[tuple[str, list[str]]]) -> list[tuple[str, list[str]]]:
+    """Place and cells of rows with a mode each: those given, or the columns of a table on its side."""
+    cells = [row for _, row in rows]
+    of_quantity = [
+        quantity_of(row[0], file) in PER_MODE and all(to_number(cell) is not None for cell in row[1:])
+        for row in cells
+    ]
+    if not any(of_quantity) or len({len(row) for row in cells}) > 1 or len(cells[0]) == 1:
+        return rows
+    header, *columns = map(list, zip(*cells, strict=True))
+    header = header if of_quantity[0] else ["mode", *header[1:]]  # below the names of the modes
+    return [(file, header), *((f"{file}, column {k}", column) for k, column in enumerate(columns, 2))]
+
+
 def _check_header(file: str, header: list[str]) -> None:
-    """Refuse a table without names, and one with a column for each mode."""
+    """Refuse a table without names."""
     if to_number(header[0]) is not None:
         what = f"{file} must have the names of its columns in the first line"
         advice = "Write them above the numbers, frequency among them."
         raise refusal(what, f"the number {header[0]!r}", advice)
-    named = any(to_number(label) is None for label in header[1:])
-    if len(header) > 1 and not named and quantity_of(header[0], file) is not None:
-        raise ValueError(
-            f"{file} must have a row for each mode and a column for each channel, its first line begins with "
-            f"{header[0]!r} and goes on with numbers. Transpose the table."
-        )
 
 
-def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[str, int]]:
-    """Columns of the channels, and of the standard deviations of their entries, by name of the channel."""
+def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[str, int], dict]:
+    """Columns of the channels, of the standard deviations of their entries, and of second parts, by name."""
     named = [(without_brackets(label) or label, k) for k, label in enumerate(header)]
     named = [(name, k) for name, k in named if k not in places.values()]
+    named, parts = _complex_columns(file, header, named)
     if wanted is None:
         named = [entry for entry in named if not INDICATORS.fullmatch(re.sub("[ _.-]", "", entry[0].lower()))]
     else:
@@ -150,6 +171,12 @@ def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[s
         raise refusal(what, f"{listed(twice)} more than once", advice)
     channels, spreads = dict(named), {}
     for name, place in named:
+        unit = unit_of(Label.of(header[place]).unit)
+        if wanted is None and unit and unit.quantity in ("frequency", "time", "angle", "temperature"):
+            what = (
+                f"{file}: the column {header[place]!r} must be a channel, its unit is one of {unit.quantity}"
+            )
+            raise ValueError(f"{what}. Leave it out, or name those that are channels by `channels`.")
         base = _of_spread(name)
         if base in spreads:
             what = f"{file}: the standard deviation of {base} must be there once"
@@ -157,13 +184,41 @@ def _channels(file: str, header, places, wanted) -> tuple[dict[str, int], dict[s
         if base in counts:
             spreads[base] = place
             del channels[name]
+        elif name in parts:
+            continue
         elif wanted is None and (base or (close := get_close_matches(name.lower(), QUANTITIES, 1, ALIKE))):
             meant = f"a standard deviation of {base}, which is no column" if base else f"{close[0]}, misspelt"
             raise ValueError(
                 f"{file}: the column {name!r} must be a channel, it looks like {meant}. Rename it, or name "
                 "those that are channels by `channels`."
             )
-    return channels, spreads
+    return channels, spreads, parts
+
+
+def _complex_columns(file: str, header, named) -> tuple[list[tuple[str, int]], dict[str, tuple[int, float]]]:
+    """Names with the column of the first part of their entries; column and unit [rad] of the second.
+
+    The unit is 0 where the parts are real and imaginary.
+    """
+    kinds = {k: (name, None) for name, k in named}
+    for name, k in named:
+        base, _, end = re.sub("[ .-]", "_", name).rpartition("_")
+        if base and end.lower() in PARTS:
+            kinds[k] = name[: len(base)], PARTS[end.lower()]
+    found, places = {}, {pair: k for k, pair in kinds.items()}
+    for (base, kind), k in places.items():
+        firsts = {"phase": ("magnitude", None), "imaginary": ("real",)}.get(kind, ())
+        first = next((places[base, part] for part in firsts if (base, part) in places), None)
+        if first is None:
+            continue
+        unit = unit_of(Label.of(header[k]).unit, "angle")
+        if kind == "phase" and unit is None:
+            what = f"{file} must say whether the phase {header[k]!r} is in degrees or radians"
+            raise ValueError(f"{what}. Write [deg] or [rad] behind its name.")
+        found[first] = base, (k, unit.factor if kind == "phase" else 0.0)
+    seconds = [k for _, (k, _) in found.values()]
+    kept = [(found[k][0] if k in found else name, k) for name, k in named if k not in seconds]
+    return kept, dict(found.values())
 
 
 def _of_spread(name: str) -> str | None:
