@@ -141,6 +141,18 @@ def test_hdf5_file_reads_no_other_file(tmp_path):
     assert read_record(path, units="g", dt=0.02).pga == 0.5 * 9.81
 
 
+@pytest.mark.parametrize("name", ["Ts", "delta", "sampling_interval", "SampleRate", "sampling_frequency"])
+def test_names_of_a_step_or_a_rate(save, tmp_path, name):
+    """In variables, and in attributes of HDF5 files, whose unit holds for the rows of a matrix."""
+    value = 50.0 if name in ("SampleRate", "sampling_frequency") else 0.02
+    assert read_record(save(ag=ACCELERATION, units="g", **{name: value})).dt == 0.02
+    with h5py.File(tmp_path / "matrix.h5", "w") as file:
+        file["ag"] = np.column_stack([ACCELERATION, TIME])
+        file["ag"].attrs.update({"unit": "g", name: value})
+    record = read_record(tmp_path / "matrix.h5", column="ag 0")
+    assert record.dt == 0.02 and record.pga == pytest.approx(9.81 * np.abs(ACCELERATION).max())
+
+
 def test_arguments_win_over_the_file_with_a_warning(save):
     path = save(ag=ACCELERATION, dt=0.02, units="g")
     with pytest.raises(ValueError, match="those of the file, motion.mat states 'g', got 'gal'"):

@@ -203,6 +203,15 @@ def test_steps_and_rates_above_the_numbers(tmp_path, line, dt):
         assert read_record(path).dt == pytest.approx(dt)
 
 
+@pytest.mark.parametrize("line", ["# units: g", "Unit;g", "Einheit = g"])
+@pytest.mark.parametrize("labels", [["time [s] roof"], []])
+def test_the_unit_of_all_columns(tmp_path, line, labels):
+    rows = [f"{0.02 * k} {0.1 * k:.2f}" for k in range(9)]
+    assert read_record(write(tmp_path, [line, *labels, *rows])).pga == pytest.approx(0.8 * 9.81)
+    with pytest.raises(ValueError, match="states 'g', got"):
+        read_record(write(tmp_path, [line, *labels, *rows]), units="gal")
+
+
 def test_rates_beside_clocks(tmp_path):
     """Numbers of samples take the step; a clock must agree; two lines must agree."""
     rows = [f"{k} {0.1 * k:.2f}" for k in range(9)]

@@ -25,8 +25,10 @@ from pymc_features.io.reading.labels import Label, role_of, unit_of
 from pymc_features.io.reading.lines import check_size, most_bytes, shortened, to_number
 from pymc_features.io.reading.recording import Channel, Columns, Recording, Request, recording_of
 
-#: Units of numbers that state the step.
-SCALARS = {"dt": unit_of("s"), **dict.fromkeys(("fs", "samplingrate", "samplerate"), unit_of("Hz"))}
+#: Units of numbers that state the step, by their names as of `_key`.
+STEPS = "dt ts delta deltat timestep samplinginterval sampleinterval samplingperiod sampleperiod"
+RATES = "fs samplingrate samplerate samplingfrequency samplefrequency samplingfreq samplefreq"
+SCALARS = dict.fromkeys(STEPS.split(), unit_of("s")) | dict.fromkeys(RATES.split(), unit_of("Hz"))
 DEEPEST = 4  # structures in one another
 HEADER = 128  # bytes
 COMPRESSED, ARRAY = 15, 14  # types of elements
@@ -162,9 +164,13 @@ def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
         values = item[()].T
         return values["real"] + 1j * values["imag"] if pairs else values
 
+    def stated(item, keys, prefix: str) -> None:
+        for name in item.attrs:
+            if _key(name) in keys:
+                variables[prefix + name] = np.asarray(_text(item.attrs[name]))
+
     def read(group, prefix: str, depth: int) -> None:
-        for key in {"dt", "fs", "units"} & set(group.attrs):
-            variables[prefix + key] = np.asarray(_text(group.attrs[key]))
+        stated(group, (*SCALARS, "units", "unit"), prefix)
         for name in group:
             item = None if name.startswith("#") else inside(group, name)
             if isinstance(item, h5py.Group) and "MATLAB_sparse" in item.attrs:
@@ -176,12 +182,16 @@ def _load_hdf5(path: Path) -> dict[str, np.ndarray]:
             elif isinstance(item, h5py.Dataset) and (values := array(item)) is not None:
                 unit = _text(item.attrs.get("units", item.attrs.get("unit", "")))
                 variables[f"{prefix}{name} [{unit}]" if unit else prefix + name] = values
-                for key in {"dt", "fs"} & set(item.attrs):
-                    variables[prefix + key] = np.asarray(_text(item.attrs[key]))
+                stated(item, SCALARS, prefix)
 
     with h5py.File(path, "r") as file:
         read(file, "", 0)
     return variables
+
+
+def _key(name: str) -> str:
+    """What a variable is called inside its structure, in lower case, without blanks and underscores."""
+    return re.sub("[_ ]", "", name.lower().rpartition(".")[2])
 
 
 def _text(value):
@@ -231,8 +241,9 @@ def _columns(file: str, arrays: dict[str, np.ndarray], n_times: int, request: Re
         histories = np.atleast_2d(array).astype(np.float64)
         histories = histories if histories.shape[1] == n_times else histories.T
         inside, dot, own = name.rpartition(".")
-        one = Label(name, inside + dot + Label.of(own).name, Label.of(own).unit)
-        several = [Label(f"{name} {k}", f"{name} {k}") for k in range(len(histories))]
+        _, own, unit = Label.of(own)
+        one = Label(name, inside + dot + own, unit)
+        several = [Label(f"{name} {k}", f"{inside + dot + own} {k}", unit) for k in range(len(histories))]
         labels += [one] if len(histories) == 1 else several
         rows += list(histories)
     values = np.array(rows).T[request.skip :]
@@ -251,7 +262,7 @@ def _stated(facts: Mapping, inside: str, file: str, dt: float | None) -> tuple[s
     """Units and step [s] that a structure, or else the file, states in texts and numbers such as "100 Hz"."""
     units, steps = set(), {}
     for name, value in facts.items():
-        key = re.sub("[_ ]", "", name.lower().rpartition(".")[2])
+        key = _key(name)
         stated = value.item() if value.size == 1 else None
         if key in ("units", "unit") and isinstance(stated, str):
             units.add(stated.strip())

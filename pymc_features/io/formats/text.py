@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features._checks import listed, require
-from pymc_features.io.reading.labels import BRACKETS, WORD, Label, role_of, unit_of
+from pymc_features.io.reading.labels import BRACKETS, SI, WORD, Label, role_of, unit_of
 from pymc_features.io.reading.lines import Lines, finite, not_a_number, to_number
 from pymc_features.io.reading.recording import Columns, Recording, Request, clock_column, recording_of
 
@@ -44,6 +44,8 @@ STATED = re.compile(
     r"\s*(?:[\[(](?P<unit>[^\])]*)[\])]\s*)?(?P<mark>[:=,;\s])[=\s]*(?P<number>[\d.,]*\d(?:e[+-]?\d+)?)"
     r"\s*(?P<behind>[a-zµμ/]*)"
 )
+#: The unit of all columns above the numbers: "# units: g", "Unit;mm/s²".
+ALL_IN = re.compile(r"(?i)(?<![a-z])(?:units?|einheit(?:en)?)\s*[:=;,]\s*(\S+)\s*$")
 
 
 class Layout(NamedTuple):
@@ -269,7 +271,7 @@ def _refuse_spoilt_first(file: str, header, first: int, layout: Layout) -> None:
 
 
 def _labels(header, layout: Layout, stating: list[int]) -> tuple[list[Label], bool, str | None]:
-    """What stands above each column, whether it is more than a title, and the unit of all without labels.
+    """What stands above each column, whether it is more than a title, and the unit of all columns.
 
     Of the lines of the header those that are `stating` a rate are no labels.
     """
@@ -279,6 +281,9 @@ def _labels(header, layout: Layout, stating: list[int]) -> tuple[list[Label], bo
         return cells[0] == "TS" or (any(cells) and known)
 
     candidates = (line for number, line, _ in header if number not in stating)
+    candidates = [line for line in candidates if not ALL_IN.search(line)]
+    stated = (match[1] for _, line, _ in header if (match := ALL_IN.search(line)))
+    of_all = next((unit for unit in stated if unit_of(unit, *SI)), None)
     named = [cells for line in candidates if (cells := _named(line, layout))]
     units = [cells for cells in named if is_of_units(cells)]
     named = [cells for cells in named if cells not in units]
@@ -286,7 +291,7 @@ def _labels(header, layout: Layout, stating: list[int]) -> tuple[list[Label], bo
     if not texts:
         found = (unit.strip() for _, line, _ in header for unit in BRACKETS.findall(line))
         unit = next((unit for unit in found if unit_of(unit, "acceleration")), None)
-        return [Label("", "")] * layout.n_columns, bool(units), unit
+        return [Label("", "")] * layout.n_columns, bool(units), of_all or unit
     rows = [[Label.of(text) for text in cells] for cells in texts]
     n_roles = [sum(role_of(label.name) is not None for label in row) for row in rows]
     chosen = max(range(len(rows)), key=lambda k: (n_roles[k], k))
@@ -299,7 +304,7 @@ def _labels(header, layout: Layout, stating: list[int]) -> tuple[list[Label], bo
     is_title = all(comment for _, line, comment in header if _named(line, layout) == texts[chosen])
     told = any(role_of(label.name) for label in labels) or not is_title
     own = any(label.unit is not None for label in labels) or (layout.separator != " " and told)
-    return labels, own, None
+    return labels, own, of_all
 
 
 def _named(line: str, layout: Layout) -> list[str] | None:
