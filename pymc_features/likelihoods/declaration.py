@@ -93,6 +93,7 @@ def prepare_observed(mu, observed, name, dims, *, gaps=False, **parameters):
     in an array PyMC would impute silently, as free variables.
     """
     mu, observed = as_response(mu), by_labels(observed, dims)
+    _check_times(observed, response_step(mu))
     is_graph = isinstance(observed, Variable)
     if is_graph:
         as_tensor(observed, "observed")
@@ -117,6 +118,20 @@ def prepare_observed(mu, observed, name, dims, *, gaps=False, **parameters):
             expected = "a scalar or have one value for each sensor of `observed`"
             raise ValueError(message(parameter, expected, f"{ndim} dimensions"))
     return observed, dims
+
+
+def _check_times(observed, step):
+    """Refuse labels of times [s] at another step than that of the response, where both are known."""
+    times = getattr(observed, "indexes", {}).get("time", ())
+    if step is None or len(times) < 2 or times.dtype.kind not in "fmM":  # whole numbers count samples
+        return
+    own = np.diff(np.asarray(times)).mean()
+    own = own / np.timedelta64(1, "s") if times.dtype.kind in "mM" else float(own)
+    if observed["time"].attrs.get("units", "s") == "s" and abs(own - step) > 0.01 * step:
+        raise ValueError(
+            f"`observed` must have the step of the response, {step:g} s, got times {own:g} s apart. Pass "
+            f"dt={own:g} to `response`, or observed.values."
+        )
 
 
 def _check_dimensions(mu, shape):

@@ -115,3 +115,17 @@ def test_data_of_the_model_along_turned_axes_are_refused():
             pmf.ExpFeature("y", mu=MU, sigma=0.5, observed=turned)
         straight = pm.Data("right", VALUES, dims=("sensor", "time"))
         pmf.ExpFeature("y", mu=MU, sigma=0.5, observed=straight)
+
+
+STAMPS = np.datetime64("2024-01-01", "ns") + np.arange(3) * np.timedelta64(40, "ms")
+
+
+@pytest.mark.parametrize("times", [0.04 * np.arange(3), STAMPS])
+def test_times_at_another_step_than_the_response_are_refused(times):
+    data = xr.DataArray(VALUES, {"time": times}, ("sensor", "time"))
+    right = xr.DataArray(VALUES, {"time": 0.02 * np.arange(3)}, ("sensor", "time"))
+    with pm.Model():
+        mu = pmf.response(CHAIN, noise_record(3))  # at 0.02 s
+        with pytest.raises(ValueError, match="step of the response, 0.02 s, got times 0.04 s apart. Pass dt"):
+            pmf.ExpFeature("y", mu=mu, sigma=0.5, observed=data)
+        pmf.ExpFeature("y", mu=mu, sigma=0.5, observed=right)
