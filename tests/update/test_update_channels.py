@@ -266,6 +266,19 @@ def test_lines_that_are_proposed_correct_the_fault(clean, tmp_path, line):
     np.testing.assert_allclose(measured.channels.values, clean.channels.values, atol=off * size)
 
 
+def test_an_offset_that_nothing_takes_off_is_said(tmp_path, data_dir):
+    def raised(values, step):
+        return {"floor2": values["floor2"] + 0.2}
+
+    path = written(tmp_path, raised)
+    messages, _, _ = told_by(path)  # the example takes it off
+    assert not [m for m in messages if "offset" in m]
+    path.write_text(replaced(path.read_text(), [("\ndetrend =", "\n# detrend =")]))
+    messages, _, _ = told_by(path)
+    [said] = [m for m in messages if "is an offset of the sensor" in m]
+    assert re.search(r"floor2 \(0\.[12]\d* m/s\^2\)", said)
+
+
 def test_clocks_that_are_seconds_apart_are_an_error(tmp_path, data_dir):
     def apart(values, step):
         return {"floor2": np.roll(values["floor2"], round(2.5 / step))}

@@ -30,6 +30,7 @@ EXPLAINS_ANY = 0.99  # damping ratio that explains any lag
 FOLLOWS = 0.7  # coherence of one floor at least, where nobody has named the band
 COHERENT = 0.5  # of a floor with the base, where the base moves
 MOVING, QUIET = 0.2, 3.0  # of the rms of the whole, and of the quietest period: a sensor that is in motion
+STEADY = 0.02  # of the rms
 OFFSET = 1.0  # s: clocks that are not the same, and no lag
 NO_CORRECTION = {"scale": 1.0, "delay": 0.0}
 
@@ -254,6 +255,23 @@ def inline(values) -> str:
         name = key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key)
         entries.append(f"{name} = {float(f'{value:.6g}')}")
     return f"{{ {', '.join(entries)} }}" if entries else "{}"  # which cancels what is there
+
+
+def warn_of_offsets(channels) -> None:
+    """Warn of accelerations whose mean is alike in all quarters, and not small beside what they move."""
+    means = np.array([np.nanmean(part, axis=1) for part in np.array_split(channels.values, 4, axis=1)])
+    least, most = np.abs(means).min(axis=0), np.abs(means).max(axis=0)
+    alike = (np.abs(np.sign(means).sum(axis=0)) == 4) & (least > 0.5 * most)
+    stay = alike & (least > STEADY * np.nanstd(channels.values, axis=1))
+    if stay.any():
+        pairs = zip(channels["sensor"].values[stay], means.mean(axis=0)[stay], strict=True)
+        told = ", ".join(f"{name} ({mean:.2g} m/s^2)" for name, mean in pairs)
+        warnings.warn(
+            f"The mean of {told} is an offset of the sensor: no motion goes on so, and the model has none. "
+            'Take it off by `detrend = { kind = "constant" }` in [processing].',
+            ChannelWarning,
+            stacklevel=2,
+        )
 
 
 def warn_of_motion(channels, start, first_frequency) -> None:

@@ -1,5 +1,6 @@
 """Measured responses to a measured motion of the base: [data], [record], [processing], [likelihood]."""
 
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -104,6 +105,10 @@ class Responses(Histories):
         record = Record.from_channel(motion, name=title, interpolation=section.interpolation)
         with named_key("processing.decimate"):
             floors = signals.decimate(channels.isel(sensor=slice(1, None)), asked.decimate)
+        if MEASURED[data.quantity] == "acceleration":
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "Mean of empty slice")  # in a gap from end to end
+                files.warn_of_offsets(floors)
         floors, first = files.part_compared(floors.assign_attrs(units=SI[MEASURED[data.quantity]]), asked)
         for name, is_gap in zip(floors["sensor"].values, floors.isnull().all("time").values, strict=True):
             if is_gap:
