@@ -1,6 +1,7 @@
 """Responses to other motions of the base under the posterior: [[predict]]."""
 
 from dataclasses import replace
+from math import ceil
 from pathlib import Path
 from typing import Annotated
 
@@ -14,10 +15,12 @@ from pymc_features.records import Interpolation, Record
 from pymc_features.update.config.entries import Positive, key
 from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import BETWEEN, QUANTITIES, SOME_QUANTITIES, RecordFile
+from pymc_features.update.config.structures import modes_of
 from pymc_features.update.kinds.base import QUANTILES, table
 from pymc_features.update.templates.numbers import interval_texts, predicted_quantities, scale_of
 
 DRAWS = 500
+SAMPLES = 16  # in a period
 PREDICTION = "prediction"
 COLUMNS = ("motion", "largest", "unit", "5 %", "50 %", "95 %", "limit", "probability")
 MEANING = (
@@ -85,6 +88,17 @@ def check_predictions(config, structure) -> None:
             raise ConfigError(f"`{at}.path` must be given, the file of a ground motion: none was measured.")
 
 
+def substeps(structure, posterior, dt: float) -> int:
+    """Into how many steps one of a record is divided, so that samples do not miss the peaks.
+
+    The highest mode at the medians that the record can excite gets `SAMPLES` in a period: its largest sample
+    is at most 1 - cos(pi / SAMPLES) below its peak.
+    """
+    medians = {name: float(np.median(posterior[name])) for name in structure.names}
+    frequencies = modes_of(structure(**medians), structure.n_modes).natural_frequencies
+    return max(1, ceil(SAMPLES * frequencies[frequencies < 0.5 / dt].max(initial=0.0) * dt))
+
+
 def predictions(config, folder: Path, structure, posterior, measured: Record | None) -> dict[str, xr.Dataset]:
     """Predict every response that a file asks for under a posterior, perhaps to the measured motion.
 
@@ -99,6 +113,7 @@ def predictions(config, folder: Path, structure, posterior, measured: Record | N
             record = asked.motion(folder, measured)
         given = posterior, structure, record
         settings = {"draws": asked.draws, "random_seed": 0, "n_modes": structure.n_modes}
+        settings["dt"] = record.dt / substeps(structure, posterior, record.dt)
         data = posterior_response(*given, asked.quantities, quantiles=QUANTILES, **settings)
         data = data.drop_vars(["chain", "draw"])
         data["ground_acceleration"] = "record_time", record.acceleration, {"units": "m/s^2"}

@@ -73,7 +73,13 @@ def test_predictions_are_those_of_the_posterior(path, finished):
     found, record = result["predict/half"].to_dataset(), problem.measured.record
     np.testing.assert_allclose(found["ground_acceleration"], 0.5 * record.acceleration)
     names, posterior = ["inter_storey_drift", "base_shear"], result["EXP/posterior"].to_dataset()
-    expected = posterior_response(posterior, problem.structure, record, names, draws=500)
+    step = float(found["time"][1])
+    medians = {name: float(posterior[name].median()) for name in problem.structure.names}
+    highest = problem.structure(**medians).modes().natural_frequencies.max()
+    assert (
+        step * highest <= 1 / 16 < step * 2 * highest
+    )  # samples in the shortest period, no more than needed
+    expected = posterior_response(posterior, problem.structure, record, names, draws=500, dt=step)
     for name in names:  # of a linear structure
         np.testing.assert_allclose(found[name], 0.5 * expected[name], rtol=1e-6)
     peak = found["inter_storey_drift_peak"].max("storey")
