@@ -206,6 +206,11 @@ def add_update(command) -> None:
     )
     add("config", CONFIG, metavar="CONFIG")
     add("--out", "figure (default: CONFIG-check.png beside CONFIG)", metavar="FILE")
+    add(
+        "--json",
+        "print warnings and whether anything could be checked, for scripts",
+        action="store_true",
+    )
 
     add = command(
         "init",
@@ -430,7 +435,10 @@ def check(options, console):
         from pymc_features.update.sensitivity import remaining, sensitivity_sentences
 
         tell(sensitivity_sentences(remaining(problem)), console)
-    if not told and any(data.is_checked for data in problem.shown):
+    checked = any(data.is_checked for data in problem.shown)
+    if options.json:
+        print(json.dumps({"checked": checked, "warnings": told}))
+    if not told and checked:
         say(console, "nothing was found wrong")
     elif not told and problem.structure.has_modes:
         say(console, "nothing could be checked, so that nothing is known of what is wrong")

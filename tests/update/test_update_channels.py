@@ -1,5 +1,6 @@
 """Channels with gaps and with faults: what is left out, refused, proposed and reported."""
 
+import json
 import re
 import warnings
 
@@ -308,9 +309,11 @@ def test_a_record_too_short_for_the_check_is_said_to_be(tmp_path, data_dir):
 def test_command_looks_at_the_data_and_samples_nothing(tmp_path, data_dir, capsys, monkeypatch):
     path = written(tmp_path, INVERTED)
     monkeypatch.setattr("pymc_features.update.sampling.run_part", None)
-    assert cli.main(["check", str(path)]) == 0
-    said = capsys.readouterr().err
+    assert cli.main(["check", str(path), "--json"]) == 0
+    printed, said = capsys.readouterr()
     assert "put into [data]: scale = { floor2 = -1.0 }; delay = { floor1 = 0.0005" in said
+    found = json.loads(printed)
+    assert found["checked"] and any("put into [data]: scale" in text for text in found["warnings"])
     assert "lag [ms]" in said
     assert "nothing was found wrong" not in said
     assert (tmp_path / "table-check.png").read_bytes().startswith(b"\x89PNG")
