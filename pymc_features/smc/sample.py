@@ -3,14 +3,14 @@
 import copy
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from queue import Empty, SimpleQueue
+from types import FunctionType
 
 import numpy as np
 import pymc as pm
-import pymc.smc.sampling
 import pytensor.tensor as pt
 import xarray as xr
 from pymc.backends.ndarray import NDArray
@@ -143,13 +143,8 @@ def sample_smc(
     elif cores is None:
         cores = 1 if is_parallel_by_itself(model) else processors()
     try:
-        with (
-            open_workers(executor) as workers,
-            chains_on(workers, at_once),
-            all_draws_at_once(),
-            one_thread_each(),
-        ):
-            found = pm.sample_smc(
+        with open_workers(executor) as workers, one_thread_each():
+            found = sampler(workers, at_once)(
                 draws, kernel, chains=chains, cores=cores, random_seed=random_seed, **settings
             )
         idata = savable(found)
@@ -295,9 +290,11 @@ def trace_function(model) -> Callable[[list], dict[str, np.ndarray]] | None:
     return all_variables
 
 
-@contextmanager
-def all_draws_at_once() -> Iterator[None]:
-    """Let `pm.sample_smc` write its traces in one call; as it does by itself where that is not possible."""
+def trace_builder() -> Callable[..., NDArray]:
+    """A function that writes the trace of a chain in one call, or draw by draw where that is not possible.
+
+    It takes what `_build_trace_from_kernel_state` of PyMC's takes.
+    """
     functions = {}
 
     def build_trace(tempered_posterior, var_info, variables, chain, model):
@@ -324,38 +321,36 @@ def all_draws_at_once() -> Iterator[None]:
         trace.draw_idx = trace.draws
         return trace
 
-    pymc.smc.sampling._build_trace_from_kernel_state = build_trace
-    try:
-        yield
-    finally:
-        pymc.smc.sampling._build_trace_from_kernel_state = draw_by_draw
+    return build_trace
 
 
 LOOK_SECONDS = 1.0
 
 
-@contextmanager
-def chains_on(workers: Workers | None, most: int) -> Iterator[None]:
-    """Let `pm.sample_smc`, asked for chains one after another, run up to `most` at once on workers.
+def sampler(workers: Workers | None, most: int) -> Callable[..., xr.DataTree]:
+    """`pm.sample_smc` with traces written in one call, and chains on workers, up to `most` at once.
 
     Each chain has a kernel and random numbers of its own, so that its draws do not depend on the others.
-    Without workers nothing changes.
     """
+    build_trace = trace_builder()
 
     def side_by_side(*, kernel, chains, rngs, start_points, model, traces, **rest):
         ends = run_chains(kernel, start_points, rngs, most, workers, rest)
         for number, (own, stats) in enumerate(ends):
-            build = pymc.smc.sampling._build_trace_from_kernel_state
-            traces.append(build(own.tempered_posterior, own.var_info, own.variables, number, model))
+            traces.append(build_trace(own.tempered_posterior, own.var_info, own.variables, number, model))
             rest["sample_stats"].append(stats)
             rest["sample_settings"].append(own.sample_settings())
 
-    if workers is not None:
-        pymc.smc.sampling._sample_smc_sequentially = side_by_side
-    try:
-        yield
-    finally:
-        pymc.smc.sampling._sample_smc_sequentially = one_after_another
+    names = {"_build_trace_from_kernel_state": build_trace}
+    in_turn = with_names(one_after_another, names) if workers is None else side_by_side
+    return with_names(pm.sample_smc, names | {"_sample_smc_sequentially": in_turn})
+
+
+def with_names(function: Callable, names: dict) -> Callable:
+    """A copy of a function in which names of its module mean something else; the module stays as it is."""
+    own = FunctionType(function.__code__, function.__globals__ | names, argdefs=function.__defaults__)
+    own.__kwdefaults__ = function.__kwdefaults__
+    return own
 
 
 def run_chain(number, kernel, start, rng, told: SimpleQueue) -> tuple[PopulationKernel, dict]:

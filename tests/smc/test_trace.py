@@ -1,19 +1,20 @@
 """Traces written in one call, against those that PyMC writes draw by draw."""
 
 from collections import Counter
-from contextlib import nullcontext
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pymc as pm
 import pymc.smc.sampling
 import pytensor.tensor as pt
 import pytest
+import xarray as xr
 from pymc.smc.sampling import _build_trace_from_kernel_state as draw_by_draw
 from pytensor.compile.executor import Function
 
 from pymc_features import TruncNormalFeature, paper, response, sample_smc
 from pymc_features.sampling import PopulationIMH
-from pymc_features.smc.sample import all_draws_at_once
+from pymc_features.smc.sample import trace_builder
 from support.structures import noise_record
 
 
@@ -69,9 +70,7 @@ def test_same_as_draw_by_draw(build, monkeypatch):
     model = build()
     given = (*particles_of(model), model.value_vars, 3, model)
     expected = draw_by_draw(*given)
-    with all_draws_at_once():
-        found = pymc.smc.sampling._build_trace_from_kernel_state(*given)
-    assert pymc.smc.sampling._build_trace_from_kernel_state is draw_by_draw
+    found = trace_builder()(*given)
     assert found.varnames == expected.varnames and len(found) == len(expected) == 7 and found.chain == 3
     for name in expected.varnames:
         a, b = found.get_values(name), expected.get_values(name)
@@ -95,9 +94,36 @@ def test_no_call_for_each_draw(at_once, monkeypatch):
 
     monkeypatch.setattr(Function, "__call__", counted)
     if not at_once:
-        monkeypatch.setattr("pymc_features.smc.sample.all_draws_at_once", nullcontext)
+        monkeypatch.setattr("pymc_features.smc.sample.trace_builder", lambda: draw_by_draw)
     with model:
         idata = sample_smc(300, PopulationIMH, chains=2, cores=1, random_seed=1, progressbar=False)
     assert idata.posterior["theta"].shape == (2, 300)
     assert (np.abs(idata.posterior["theta"].values - 1.0) < 0.5).all()
     assert (sum(n >= 300 for n in calls.values()) == 1) == at_once
+
+
+@pytest.mark.parametrize("executor", [None, 1])
+def test_nothing_of_pymc_is_replaced_while_it_runs(executor):
+    """So that runs in two threads do not meet."""
+    names = "_build_trace_from_kernel_state", "_sample_smc_sequentially"
+    before, seen = [getattr(pymc.smc.sampling, name) for name in names], []
+
+    class Watching(PopulationIMH):
+        def step(self):
+            seen.append([getattr(pymc.smc.sampling, name) for name in names])
+            return super().step()
+
+    with pm.Model() as model:
+        x = pm.Normal("x", shape=2)
+        pm.Normal("y", x, 0.5, observed=[0.3, -0.2])
+
+    def run(seed):
+        settings = {"cores": 1, "executor": executor, "random_seed": seed, "progressbar": False}
+        return sample_smc(100, Watching, chains=2, model=model, compute_convergence_checks=False, **settings)
+
+    alone = [run(seed) for seed in range(2)]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(run, range(2)))
+    for one, other in zip(alone, together, strict=True):
+        xr.testing.assert_equal(one["posterior"].to_dataset(), other["posterior"].to_dataset())
+    assert seen and all(found == before for found in seen)
