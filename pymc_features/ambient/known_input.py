@@ -72,7 +72,8 @@ def rows_of_fit(fit: TransferFit) -> list[tuple]:
     """Frequency, damping ratio and shape of length one of each mode, their deviations; participation, too."""
     modes, whole, rows = fit.modes, fit.covariance, []
     k, n_in = modes.table.shape[1], modes.inputs.shape[1]
-    for i, (w, z, p_in, p_out) in enumerate(zip(*modes[:4], strict=True)):
+    for i, (w, z) in enumerate(np.exp(modes.table[:, :2])):
+        p_in, p_out = modes.inputs[i], modes.outputs[i]
         covariance = whole[i * k : (i + 1) * k, i * k : (i + 1) * k]
         length = np.linalg.norm(p_out)
         unit = p_out / length

@@ -12,30 +12,30 @@ from pymc_features._checks import (
     as_list,
     as_numbers,
     check_finite,
+    check_integer,
     check_title,
     is_number,
     listed,
     message,
+    require,
     shown,
     warn_caller,
 )
 from pymc_features.exceptions import ModalDataWarning
 
 COLLINEAR = 0.9  # modal phase collinearity below which a real shape stands badly for a complex one
+AXES = ("mode", "channel", "input")
 _SD = 0.0, np.inf, "at least 0, or NaN where it is not known", ". Correct it first."
-#: Numbers beside frequencies and shapes: least, below what, in words, and what to do.
-_LIMITS = {
-    "frequency_sd": (np.nextafter(0.0, 1.0), np.inf, "positive", " Hz. Leave it out if it is not known."),
-    "damping_ratios": (
-        0.0,
-        1.0,
-        "fractions from 0 to 1",
-        ". Divide a percentage by 100, and leave out modes of negative damping.",
-    ),
-    "damping_sd": _SD,
-    "shape_sd": _SD,
+_RATIO = "fractions from 0 to 1", ". Divide a percentage by 100, and leave out modes of negative damping."
+#: Numbers beside frequencies and shapes: axes, least, below what, in words, and what to do.
+_NUMBERS = {
+    "frequency_sd": ("mode,", 5e-324, np.inf, "positive", " Hz. Leave it out if it is not known."),
+    "damping_ratios": ("mode,", 0.0, 1.0, *_RATIO),
+    "damping_sd": ("mode,", *_SD),
+    "shape_sd": ("mode, channel", *_SD),
+    "participation": ("mode, input", -np.inf, np.inf, "finite", ". Leave it out."),
+    "participation_sd": ("mode, input", *_SD),
 }
-_OF_INPUTS = {"participation": (-np.inf, np.inf, "finite", ". Leave it out."), "participation_sd": _SD}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,9 +102,9 @@ class ModalData:
 
     def __post_init__(self):
         checks = {"frequencies": self._frequencies, "channels": self._channels, "name": check_title}
-        checks |= {"shapes": self._shapes, **{name: partial(self._numbers, name) for name in _LIMITS}}
-        checks |= {"labels": self._labels, "inputs": lambda names: tuple(_names(names, "inputs", "names"))}
-        checks |= {name: partial(self._numbers, name) for name in _OF_INPUTS}
+        checks |= {"shapes": self._shapes, "labels": self._labels}
+        checks["inputs"] = lambda names: tuple(_names(names, "inputs", "names"))
+        checks |= {name: partial(self._numbers, name) for name in _NUMBERS}
         for name, check in checks.items():
             value = getattr(self, name)
             if value is not None or name in ("frequencies", "channels", "name"):
@@ -112,71 +112,51 @@ class ModalData:
 
     def _frequencies(self, given):
         values = as_numbers(given, "frequencies", "Pass Hz, or read files with `read_modal`.")
-        if values.ndim != 1 or values.size == 0:
-            what = "`frequencies` must have shape (m,) with at least one mode"
-            raise refusal(what, values.shape, "Pass one frequency [Hz] for each mode.")
+        what = "`frequencies` must have shape (m,) with at least one mode"
+        demand(values.ndim == 1 and values.size, what, values.shape, "Pass one frequency [Hz] for each mode.")
         check_finite(values, "frequencies", "Leave the mode out.")
-        if not (values > 0.0).all():
-            mode = int(np.argmin(values > 0.0))
-            got = f"{values[mode]} Hz of mode {mode}"
-            raise refusal("`frequencies` must be positive", got, "Leave out modes of a rigid body.")
+        mode = int(np.argmin(values > 0.0))
+        got = f"{values[mode]} Hz of mode {mode}"
+        demand(values[mode] > 0.0, "`frequencies` must be positive", got, "Leave out modes of a rigid body.")
         return values
 
     def _labels(self, given):
         what = f"{len(self)} names, one for each mode"
         names = _names(given, "labels", what)
-        if len(names) != len(self):
-            raise ValueError(message("labels", what, len(names)))
+        require(len(names) == len(self), message("labels", what, len(names)))
         return np.array(names)
 
     def _channels(self, given):
         names = tuple(name.strip() for name in _names(given, "channels", "a sequence of names"))
-        if "" in names:
-            raise refusal("`channels` must have a name each", f"none at index {names.index('')}")
+        got = f"none at index {[*names, ''].index('')}"
+        demand("" not in names, "`channels` must have a name each", got)
         twice = [name for name, count in Counter(names).items() if count > 1]
-        if twice:
-            got = f"{', '.join(twice[:5])} more than once"
-            raise refusal("`channels` must have different names", got, "Rename or leave out one of each.")
-        if self.shapes is None and names:
-            got = f"{len(names)} names"
-            raise refusal("`channels` must be left out without `shapes`", got, "Pass the shapes too.")
+        got = f"{', '.join(twice[:5])} more than once"
+        demand(not twice, "`channels` must have different names", got, "Rename or leave out one of each.")
+        what = "`channels` must be left out without `shapes`"
+        demand(self.shapes is not None or not names, what, f"{len(names)} names", "Pass the shapes too.")
         return names
 
     def _shapes(self, given):
-        values = as_numbers(given, "shapes", allow_complex=True)
-        shape = self.frequencies.size, len(self.channels)
-        if values.shape != shape or 0 in shape:
-            advice = "Pass a name for each channel and a frequency for each mode."
-            if values.shape == shape[::-1]:
-                advice = "Transpose it: the first axis is the mode."
-            raise refusal(f"`shapes` must have shape (mode, channel) = {shape}", values.shape, advice)
-        if np.isinf(values).any():
-            what = "`shapes` must be finite, or NaN where nothing was measured"
-            raise refusal(what, "infinity", "Correct it first.")
+        values, shape = as_numbers(given, "shapes", allow_complex=True), (len(self), len(self.channels))
+        advice = "Pass a name for each channel and a frequency for each mode."
+        if values.shape == shape[::-1]:
+            advice = "Transpose it: the first axis is the mode."
+        is_whole = values.shape == shape and 0 not in shape
+        demand(is_whole, f"`shapes` must have shape (mode, channel) = {shape}", values.shape, advice)
+        what = "`shapes` must be finite, or NaN where nothing was measured"
+        demand(not np.isinf(values).any(), what, "infinity", "Correct it first.")
         moving = without_nan(values).any(axis=1)
-        if not moving.all():
-            mode = int(np.argmin(moving))
-            got = f"none in mode {mode} ({self.frequencies[mode]:.4g} Hz)"
-            what = "`shapes` must have an entry that is not zero in each mode"
-            raise refusal(what, got, "Leave the mode out.")
+        mode = int(np.argmin(moving))
+        got = f"none in mode {mode} ({self.frequencies[mode]:.4g} Hz)"
+        what = "`shapes` must have an entry that is not zero in each mode"
+        demand(moving[mode], what, got, "Leave the mode out.")
         return values
 
     def _numbers(self, name, given):
-        values, wanted, what = as_numbers(given, name), self.frequencies.shape, "shape (mode,) = {}"
-        if name == "shape_sd":
-            wanted, what = None if self.shapes is None else self.shapes.shape, "the shape of `shapes`, {}"
-        if name in _OF_INPUTS:
-            wanted, what = (*wanted, len(self.inputs)), "shape (mode, input) = {}"
-        if values.shape != wanted:
-            raise refusal(
-                f"`{name}` must have {what.format(wanted)}", values.shape, "Pass one for each mode."
-            )
+        values = check_numbers(given, name, len(self), len(self.channels), len(self.inputs))
         if name == "frequency_sd":
             check_finite(values, name, "Leave it out if some are not known.")
-        least, below, condition, advice = {**_LIMITS, **_OF_INPUTS}[name]
-        wrong = values[~((values >= least) & (values < below) | np.isnan(values))]
-        if wrong.size:
-            raise ValueError(f"`{name}` must be {condition}, got {wrong[0]}{advice}")
         return values
 
     def __repr__(self):
@@ -235,7 +215,8 @@ class ModalData:
         ValueError, TypeError
             If there is no such mode or channel.
         """
-        rows = [_index(mode, len(self)) for mode in (range(len(self)) if modes is None else modes)]
+        wanted, last = range(len(self)) if modes is None else modes, len(self) - 1
+        rows = [check_integer(mode, "modes", least=0, most=last) for mode in wanted]
         columns = list(range(len(self.channels)))
         if channels is not None:
             self._demand_shapes()
@@ -251,21 +232,40 @@ class ModalData:
         Of a structure that a force shakes where a channel measures in its direction: the shape there over the
         participation. NaN for other inputs. ValueError without a participation, or without shapes.
         """
-        if self.participation is None:
-            raise ValueError("`modal_masses` needs a `participation`. Identify modes with their excitation.")
+        what = "`modal_masses` needs a `participation`. Identify modes with their excitation."
+        require(self.participation is not None, what)
         self._demand_shapes()
         at = [self.channels.index(name) if name in self.channels else -1 for name in self.inputs]
         there = np.where(np.array(at) < 0, np.nan, self.shapes.real[:, at])
         return there / self.participation
 
     def _demand_shapes(self):
-        if self.shapes is None:
-            raise ValueError("`shapes` must be there for this, got frequencies alone. Read them as well.")
+        what = "`shapes` must be there for this, got frequencies alone. Read them as well."
+        require(self.shapes is not None, what)
 
 
 def refusal(what: str, got, advice: str = "") -> ValueError:
     """The error that says what must be, what there is instead, and what to do."""
     return ValueError(f"{what}, got {got}.{' ' if advice else ''}{advice}")
+
+
+def demand(holds, what: str, got, advice: str = "") -> None:
+    """Refuse what does not hold."""
+    if not holds:
+        raise refusal(what, got, advice)
+
+
+def check_numbers(value, name: str, *sizes: int) -> np.ndarray:
+    """Numbers beside frequencies, by their name; `sizes` are those of the axes of `AXES`."""
+    values, (axes, least, below, condition, advice) = as_numbers(value, name), _NUMBERS[name]
+    shape = tuple(sizes[AXES.index(axis)] for axis in axes.rstrip(",").split(", "))
+    what = f"`{name}` must have shape ({axes}) = {shape}"
+    demand(
+        values.shape == shape, what, values.shape, f"Pass one for each {axes.split(', ')[-1].rstrip(',')}."
+    )
+    wrong = values[~((values >= least) & (values < below) | np.isnan(values))]
+    require(not wrong.size, f"`{name}` must be {condition}, got {[*wrong, None][0]}{advice}")
+    return values
 
 
 def without_nan(values: np.ndarray) -> np.ndarray:
@@ -286,17 +286,10 @@ def find_channels(wanted: Sequence[str], names: Sequence[str], where: str) -> li
     if isinstance(wanted, str) or not isinstance(wanted, Sequence | np.ndarray) or len(wanted) == 0:
         raise TypeError(f"`channels` must be a sequence of at least one name, got {wanted!r}.")
     places = {name: index for index, name in enumerate(names)}
-    unknown = [name for name in wanted if name not in places]
-    if unknown:
-        what = f"`channels` must be among those of {where} ({listed(names)})"
-        raise refusal(what, repr(unknown[0]), "Pass one of these names.")
+    unknown = [*(name for name in wanted if name not in places), None]
+    what = f"`channels` must be among those of {where} ({listed(names)})"
+    demand(len(unknown) == 1, what, repr(unknown[0]), "Pass one of these names.")
     return [places[name] for name in wanted]
-
-
-def _index(mode, n_modes: int) -> int:
-    if not isinstance(mode, int | np.integer) or isinstance(mode, bool) or not 0 <= mode < n_modes:
-        raise ValueError(f"`modes` must be indices from 0 to {n_modes - 1}, got {mode!r}.")
-    return int(mode)
 
 
 def mac(shapes: ArrayLike, others: ArrayLike) -> np.ndarray:
@@ -329,10 +322,9 @@ def mac(shapes: ArrayLike, others: ArrayLike) -> np.ndarray:
     """
     shapes = as_numbers(shapes, "shapes", "Give one shape in each row.", allow_complex=True)
     others = as_numbers(others, "others", "Give one shape in each row.", allow_complex=True)
-    if shapes.ndim != 2 or others.ndim != 2 or shapes.shape[1] != others.shape[1]:
-        got = f"shapes {shapes.shape} and {others.shape}"
-        advice = "Give one shape in each row, at the same channels."
-        raise refusal("`shapes` and `others` must have rows of equal length", got, advice)
+    alike = shapes.ndim == others.ndim == 2 and shapes.shape[1] == others.shape[1]
+    what, got = "`shapes` and `others` must have rows of equal length", f"{shapes.shape} and {others.shape}"
+    demand(alike, what, f"shapes {got}", "Give one shape in each row, at the same channels.")
     one, two = ~np.isnan(shapes), ~np.isnan(others)
     a, b = (np.where(known, x, 0.0) for known, x in ((one, shapes), (two, others)))
     # squares of tiny or huge entries would leave the range of numbers
@@ -359,6 +351,4 @@ def real_shape(shape: np.ndarray) -> np.ndarray:
     return turned if turned[np.nanargmax(np.abs(turned))] > 0.0 else -turned
 
 
-def warn_modes(text: str) -> None:
-    """Warn at the line that called into this package from outside."""
-    warn_caller(text, ModalDataWarning)
+warn_modes = partial(warn_caller, category=ModalDataWarning)

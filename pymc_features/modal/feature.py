@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 import pymc as pm
@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from pymc.distributions.distribution import Continuous
 from pytensor.compile.mode import Mode
-from pytensor.graph.replace import graph_replace, vectorize_graph
+from pytensor.graph.replace import vectorize_graph
 from pytensor.tensor import TensorLike, TensorVariable
 
 from pymc_features._checks import (
@@ -25,12 +25,13 @@ from pymc_features._checks import (
     check_number,
     check_text,
     message,
+    require,
     shown,
     warn_caller,
 )
 from pymc_features.exceptions import ModalMatchWarning
-from pymc_features.modal.data import refusal
-from pymc_features.modal.identified import Identified, identification_names, identified
+from pymc_features.modal.data import demand
+from pymc_features.modal.identified import Identified, identified
 from pymc_features.modal.matching import (
     ModalFeatureRV,
     Parameters,
@@ -212,44 +213,40 @@ def checked_parameters(
     modes, data: Identified, sigma_f, sigma_phi, density, sigma_zeta=None
 ) -> list[TensorVariable]:
     """Parameters of the random variable, in its order."""
-    listed = as_list(modes)
-    if not listed:
+    advice = "Pass what `modes` returned."
+    if not (listed := as_list(modes)):
         raise TypeError(message("modes", "frequencies (m,) and shapes (m, s)", shown(modes)))
     found = [*listed, *(None, np.zeros((0, 0)), np.zeros(0))[len(listed) :]][:3]
-    found = [as_tensor(x, "modes", "Pass what `modes` returned.") for x in found]
-    (frequencies, shapes, ratios), ndims = found, [x.ndim for x in found]
-    if ndims != [1, 2, 1]:
-        what = "`modes` must be frequencies (m,), shapes (m, s) and perhaps damping ratios (m,)"
-        got = f"{ndims[0]}, {ndims[1]} and {ndims[2]} dimensions"
-        raise refusal(what, got, "Pass what `modes` returned.")
-    (g, _, s), [m] = data.shapes.shape, frequencies.type.shape
-    if m is not None and m < g:
-        what = f"`modes` must have at least as many modes as were identified, {g}"
-        raise refusal(what, m, "Ask `modes` for more.")
-    if s and shapes.type.shape[1] not in (None, s):
-        what = f"`shapes` must have a column for each of the {shapes.type.shape[1]} sensors of `modes`"
-        raise refusal(what, s, "Pass the channels of the data as `sensors`.")
-    shapes = pt.specify_shape(shapes, (None, s)) if s else shapes[:, :0]
-    if s and sigma_phi is None:
-        what, advice = "`sigma_phi` must be given with shapes", "Pass the scale of the root of 1 - MAC."
-        raise refusal(what, None, advice)
-    if data.damping is None:
-        ratios = np.zeros(0)
-    elif len(listed) < 3:
-        what = "`modes` must have damping ratios (m,) where `sigma_zeta` is given"
-        raise refusal(what, "frequencies and shapes alone", "Pass what `modes` returned.")
-    if isinstance(density, str) and density not in DENSITIES:
-        what = f"one of {', '.join(DENSITIES)} or degrees of freedom"
-        raise ValueError(message("density", what, shown(density)))
+    frequencies, shapes, ratios = found = [as_tensor(x, "modes", advice) for x in found]
+    ndims, n = [x.ndim for x in found], len(listed)
+    what = "`modes` must be frequencies (m,), shapes (m, s) and perhaps damping ratios (m,)"
+    demand(ndims == [1, 2, 1], what, "{}, {} and {} dimensions".format(*ndims), advice)
+    (g, _, s), [m], [_, columns] = data.shapes.shape, frequencies.type.shape, shapes.type.shape
+    what = f"`modes` must have at least as many modes as were identified, {g}"
+    demand(m is None or m >= g, what, m, "Ask `modes` for more.")
+    what = f"`shapes` must have a column for each of the {columns} sensors of `modes`"
+    demand(not s or columns in (None, s), what, s, "Pass the channels of the data as `sensors`.")
+    advice = "Pass the scale of the root of 1 - MAC."
+    demand(not s or sigma_phi is not None, "`sigma_phi` must be given with shapes", None, advice)
+    what, got = (
+        "`modes` must have damping ratios (m,) where `sigma_zeta` is given",
+        "frequencies and shapes alone",
+    )
+    demand(data.damping is None or n > 2, what, got, "Pass what `modes` returned.")
+    if isinstance(density, str):
+        what = message("density", f"one of {', '.join(DENSITIES)} or degrees of freedom", shown(density))
+        require(density in DENSITIES, what)
     by_entry = isinstance(density, str) and density == BY_ENTRY
-    if by_entry and data.is_complex:
-        advice = "Pass `observed.real()`, or another density."
-        raise refusal(f'`shapes` must be real for density="{BY_ENTRY}"', "complex ones", advice)
+    what, advice = (
+        f'`shapes` must be real for density="{BY_ENTRY}"',
+        "Pass `observed.real()`, or another density.",
+    )
+    demand(not (by_entry and data.is_complex), what, "complex ones", advice)
     sigma_phi, sigma_zeta = (1.0 if sigma is None else sigma for sigma in (sigma_phi, sigma_zeta))
     parameters = Parameters(
         frequencies,
-        ratios,
-        shapes,
+        np.zeros(0) if data.damping is None else ratios,
+        pt.specify_shape(shapes, (None, s)) if s else shapes[:, :0],
         scale("sigma_f", sigma_f, g, data.frequencies, data.sd),
         scale("sigma_zeta", sigma_zeta, g, data.damping, data.damping_sd),
         scale("sigma_phi", sigma_phi, g, data.shapes if by_entry else None, data.shape_sd),
@@ -272,21 +269,18 @@ def scale(name, value, n, values=None, sd=None):
     return pt.broadcast_to(tensor, (n,))
 
 
-class Match(NamedTuple):
-    """Partners of identified modes, tensors (i,)."""
+def partners_of(rv) -> tuple[list[str], dict[str, TensorVariable]]:
+    """Names of identifications (i,), and their partners (i,) under the parameters of a `ModalFeature`.
 
-    mode: TensorVariable  # number of the mode of the model, 0 the lowest
-    frequency: TensorVariable  # of that mode [Hz]
-    deviation: TensorVariable  # (ln f^ - ln f) over its standard deviation [-]
-    mac: TensorVariable  # NaN without a shape
-
-
-def match_of(rv) -> Match:
-    """Partners under the parameters of a `ModalFeature`."""
-    value = pm.modelcontext(None).rvs_to_values[rv]
-    p = Parameters(*rv.owner.inputs[2:])
-    there, _, masks = p.split(p.known)
-    rows = np.nonzero(there.eval(mode=ONCE))
+    A name is the label of its mode, with a number where that has several identifications.
+    """
+    model, p = pm.modelcontext(None), Parameters(*rv.owner.inputs[2:])
+    value, (there, _, masks) = model.rvs_to_values[rv], p.split(p.known)
+    known = there.eval(mode=ONCE)
+    rows, several = np.nonzero(known), known.sum(axis=1) > 1
+    dim, *_ = model.named_vars_to_dims.get(rv.name, (None,))
+    labels = model.coords.get(dim) or range(len(known))
+    names = [f"{labels[g]}.{j}" if several[g] else f"{labels[g]}" for g, j in zip(*rows, strict=True)]
     measured, _, parts = p.split(value)
     chosen = matched(log_densities(value, p))[rows[0]]
     frequency = pt.dot(chosen, p.frequencies)
@@ -295,17 +289,10 @@ def match_of(rv) -> Match:
         mask = masks[0][rows]
         e = pt.sum(chosen * one_minus_mac(p.shapes, [part[rows] for part in parts], mask), axis=-1)
         mac = pt.switch(pt.any(mask > 0.0, axis=-1), 1.0 - e, np.nan)
-    off = pt.log(measured[rows]) - pt.log(frequency)
     sd = pt.sqrt(sum(variances(p.sigma_f, p.sd_f, there)))[rows]
-    return Match(pt.argmax(chosen, axis=-1), frequency, off / sd, mac)
-
-
-def names_of(rv, model) -> list[str]:
-    """Names of the identifications, in the order of `match_of`."""
-    p = Parameters(*rv.owner.inputs[2:])
-    there = p.split(p.known)[0].eval(mode=ONCE)
-    dim, *_ = model.named_vars_to_dims.get(rv.name, (None,))
-    return identification_names(model.coords.get(dim) or range(len(there)), there)
+    off = (pt.log(measured[rows]) - pt.log(frequency)) / sd
+    mode = pt.argmax(chosen, axis=-1)
+    return names, {"model_mode": mode, "frequency": frequency, "deviation": off, "mac": mac}
 
 
 def match_modes(
@@ -345,45 +332,39 @@ def match_modes(
         Of identified modes without a partner, in more than half of the draws.
     """
     deviations, least_mac = check_number(deviations, "deviations"), check_number(least_mac, "least_mac")
-    if not (deviations > 0.0 and 0.0 <= least_mac <= 1.0):
-        what = "`deviations` must be positive and `least_mac` from 0 to 1"
-        raise refusal(what, f"{deviations} and {least_mac}")
+    what = "`deviations` must be positive and `least_mac` from 0 to 1"
+    demand(deviations > 0.0 and 0.0 <= least_mac <= 1.0, what, f"{deviations} and {least_mac}")
     if name is not None:
         check_text(name, "name")
-    if not (posterior is None or isinstance(posterior, xr.DataTree | xr.Dataset)):
+    if not isinstance(posterior, xr.DataTree | xr.Dataset | None):
         raise TypeError(message("posterior", "a DataTree or a Dataset of draws", shown(posterior)))
     model = check_model(model)
     found = [rv for rv in model.observed_RVs if isinstance(rv.owner.op, ModalFeatureRV)]
     found = [rv for rv in found if name in (None, rv.name)]
-    if len(found) != 1:
-        got = f"{name!r}: {', '.join(rv.name for rv in found) or 'none'} found"
-        raise refusal("`name` must be that of one ModalFeature of the model", got)
-    [rv] = found
+    got = f"{name!r}: {', '.join(rv.name for rv in found) or 'none'} found"
+    demand(len(found) == 1, "`name` must be that of one ModalFeature of the model", got)
     if isinstance(posterior, xr.DataTree):
         posterior = check_group(posterior, "posterior", "posterior", "Pass what `sample` returned.")
     sizes = {}
     if posterior is not None:
         missing = [v.name for v in model.free_RVs if v.name not in posterior]
-        if missing:
-            raise refusal("`posterior` must have all free variables of the model", f"none of {missing}")
+        what = "`posterior` must have all free variables of the model"
+        demand(not missing, what, f"none of {missing}")
         sizes = {dim: posterior.sizes.get(dim, 0) for dim in ("chain", "draw")}
-        if not all(sizes.values()):
-            got = ", ".join(map(str, posterior.dims)) or "no dimensions"
-            raise ValueError(message("posterior", "draws along chain and draw", got))
-        draws = (posterior[v.name].transpose(*sizes, ...).values.astype(v.dtype) for v in model.free_RVs)
-        rows = [values.reshape((-1, *values.shape[2:])) for values in draws]
+        got = ", ".join(map(str, posterior.dims)) or "no dimensions"
+        require(all(sizes.values()), message("posterior", "draws along chain and draw", got))
     with model:
-        match = match_of(rv)
-        match = values_at_start(match, model) if posterior is None else evaluate(model, match, rows)
+        names, match = partners_of(found[0])
+        evaluate = partial(values_of_draws, posterior) if sizes else values_at_start
+        values = evaluate(list(match.values()), model)
     fields = {
-        name: ((*sizes, "mode"), values.reshape((*sizes.values(), -1)))
-        for name, values in zip(("model_mode", *Match._fields[1:]), match, strict=True)
+        name: ((*sizes, "mode"), x.reshape((*sizes.values(), -1)))
+        for name, x in zip(match, values, strict=True)
     }
-    coords = {dim: posterior[dim].values for dim in sizes} | {"mode": names_of(rv, model)}
-    table = xr.Dataset(fields, coords)
+    table = xr.Dataset(fields, {dim: posterior[dim].values for dim in sizes} | {"mode": names})
     partner = abs(table["deviation"]) <= deviations
     table["has_partner"] = partner & ((table["mac"] >= least_mac) | np.isnan(table["mac"]))
-    warn_of_strangers(rv.name, table, [*sizes])
+    warn_of_strangers(found[0].name, table, [*sizes])
     return table
 
 
@@ -402,31 +383,26 @@ def warn_of_strangers(name, table, dims):
         )
 
 
-def evaluate(model, match: Match, rows) -> Match:
-    """Partners, arrays (n, i), at n values of each free variable."""
-    inputs = [rv.type() for rv in model.free_RVs]
-    outputs = graph_replace(list(match), dict(zip(model.free_RVs, inputs, strict=True)), strict=False)
-    batches = [pt.tensor(dtype=x.dtype, shape=(None, *x.type.shape)) for x in inputs]
-    outputs = vectorize_graph(outputs, dict(zip(inputs, batches, strict=True)))
+def values_of_draws(posterior: xr.Dataset, variables, model) -> list[np.ndarray]:
+    """Values (n, i) of variables (i,) at all draws, chain by chain."""
+    draws = [posterior[v.name].transpose("chain", "draw", ...).values.astype(v.dtype) for v in model.free_RVs]
+    rows = [x.reshape((-1, *x.shape[2:])) for x in draws]
+    batches = [pt.tensor(dtype=v.dtype, shape=(None, *v.type.shape)) for v in model.free_RVs]
+    outputs = vectorize_graph(variables, dict(zip(model.free_RVs, batches, strict=True)))
     function, parts = pytensor.function(batches, outputs, mode=OFTEN, on_unused_input="ignore"), []
     for some in np.array_split(np.arange(len(rows[0])), -(-len(rows[0]) // ROWS)):
         found = function(*(x[some] for x in rows))
         parts.append([np.broadcast_to(x, (some.size, x.shape[-1])) for x in found])
-    return Match(*map(np.concatenate, zip(*parts, strict=True)))
+    return [np.concatenate(x) for x in zip(*parts, strict=True)]
 
 
 def warn_at_start(rv):
     """Warn if the shape of an identified mode is like none at the model's initial point."""
-    model, match = pm.modelcontext(None), match_of(rv)
-    if (values := cheap_values_at_start([match.frequency, match.mac])) is None:
+    names, match = partners_of(rv)
+    if (values := cheap_values_at_start([match["frequency"], match["mac"]])) is None:
         return
-    frequency, agreement = values
-    strangers = np.flatnonzero(agreement < 0.5)
-    if strangers.size:
-        labels = names_of(rv, model)
-        listed = ", ".join(
-            f"{labels[i]} (MAC {agreement[i]:.2f} at {frequency[i]:.4g} Hz)" for i in strangers
-        )
+    pairs = list(zip(names, *values, strict=True))
+    if listed := ", ".join(f"{name} (MAC {mac:.2f} at {f:.4g} Hz)" for name, f, mac in pairs if mac < 0.5):
         warn_caller(
             f"the shapes of these modes of {rv.name} have no partner at the model's initial point: {listed}. "
             "Ask `modes` for more modes, look at the order of the sensors; `modal.match_modes` tells of a "

@@ -1,7 +1,7 @@
 """FrequencyResponse: the likelihood of measured frequency response functions, by the modes that they show."""
 
-import itertools
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from pymc_features._checks import (
     check_name,
     check_number,
     message,
+    require,
     shown,
     warn_caller,
 )
@@ -46,6 +47,7 @@ GAIN = 0.01  # of the sensitivity of a sensor
 IN_PEAK = 3.0  # lines of Hann segments in a half-power width: with 2.4 damping is 5 % too large, with 2 50 %
 POOR = 1.2  # mean square of residuals over their variance, above which lines alone are warned of
 CLOSE, ALIKE = 0.01, 0.03  # errors of ln f and shapes that modes are matched with, where the model has less
+tell = partial(warn_caller, category=ModalMatchWarning)
 SIGNATURE = "(m),(m),(m,s),(e),(n,k),(d,q),(e,d,d),()->(d)"
 
 
@@ -153,8 +155,8 @@ class FrequencyResponse:
         unique = sorted(set(places))
         found = modes(structure, n_modes, sensors=unique)
         shapes = found.shapes[:, [unique.index(i) for i in places]] * signs
-        if (m := found.frequencies.type.shape[0]) is not None and m < n:
-            raise ValueError(message("n_modes", f"at least {n}, the number of modes that were measured", m))
+        m, what = found.frequencies.type.shape[0], f"at least {n}, the number of modes that were measured"
+        require(m is None or m >= n, message("n_modes", what, m))
         sigmas = []
         for key, value in {"sigma_f": sigma_f, "sigma_zeta": sigma_zeta, "sigma_phi": sigma_phi}.items():
             if model_error is None:
@@ -163,8 +165,7 @@ class FrequencyResponse:
                 value = pm.HalfNormal(f"{name}_{key}", SCALES[key])
             else:
                 value = positive_tensor(value, key)
-                if value.ndim:
-                    raise ValueError(message(key, "one value", f"{value.ndim} dimensions"))
+                require(not value.ndim, message(key, "one value", f"{value.ndim} dimensions"))
             sigmas.append(value)
         q_0, root, parts = standardised(fit, is_force)
         n_out = fit.modes.outputs.shape[1]
@@ -178,11 +179,8 @@ class FrequencyResponse:
             observed=np.zeros(len(root)),
         )
         warn_at_start(name, found, observed, fit)
-        if observed.attrs.get("window") == "hann":
-            warn_of_segments(fit, observed.attrs["duration"])
-        chi2 = (
-            fit.chi2 * float(observed["variance"].attrs.get("factor", 1.0)) if "variance" in observed else 1.0
-        )
+        factor = observed["variance"].attrs.get("factor", 1.0) if "variance" in observed else np.nan
+        chi2 = fit.chi2 * float(factor)
         if model_error is None and chi2 > POOR:
             tell(
                 f"the modes leave residuals of {name} whose mean square is {chi2:.3g} times their "
@@ -206,19 +204,18 @@ def measured_modes(observed) -> MeasuredModes:
         raise TypeError(message("observed", "frequency response functions", shown(observed), advice))
     h = observed["frequency_response"].transpose("response", "reference", "frequency").values
     f, attrs = observed["frequency"].values, observed.attrs
-    if len(f) < 2 or not np.isfinite(h).all() or not (np.diff(f) > 0.0).all() or f[0] <= 0.0:
-        advice = "Choose a band by .sel(frequency=slice(low, high)), and leave out lines without a value."
-        raise ValueError(message("observed", "finite, at ascending frequencies above zero", shown(h), advice))
+    is_line = len(f) > 1 and np.isfinite(h).all() and (np.diff(f) > 0.0).all() and f[0] > 0.0
+    advice = "Choose a band by .sel(frequency=slice(low, high)), and leave out lines without a value."
+    require(is_line, message("observed", "finite, at ascending frequencies above zero", shown(h), advice))
     variance = [None] * h.shape[1]
     if "variance" in observed:
         variance = observed["variance"].transpose(*DIMS).values
-        wrong = np.argwhere(~(np.isfinite(variance) & (variance > 0.0)))
-        if len(wrong):
-            reference, response = (observed[dim].values[i] for dim, i in zip(DIMS, wrong[0], strict=False))
+        for place in np.argwhere(~(np.isfinite(variance) & (variance > 0.0))):
+            reference, response = (observed[dim].values[i] for dim, i in zip(DIMS, place, strict=False))
             got = f"another one of response {response!r} to {reference!r}"
             raise ValueError(message("variance", "positive at all lines", got, "Leave dead channels out."))
-    if (quantity := attrs.get("quantity", "accelerance")) not in POWERS:
-        raise ValueError(message("quantity", f"one of {', '.join(POWERS)}", shown(quantity)))
+    quantity = attrs.get("quantity", "accelerance")
+    require(quantity in POWERS, message("quantity", f"one of {', '.join(POWERS)}", shown(quantity)))
     numbers = {key: check_number(attrs[key], key) for key in ("decay", "duration", "dt") if key in attrs}
     lines = Lines(f, POWERS[quantity], **numbers)
     blows = observed["blow"].values if "blow" in observed else [attrs.get("blow", np.nan)] * h.shape[1]
@@ -228,9 +225,8 @@ def measured_modes(observed) -> MeasuredModes:
         for r, blow in enumerate(blows)
     ]
     fit = fit_modes(experiments, lines, gain=GAIN)
-    if not len(fit.modes.natural):
-        advice = "Choose a band with peaks, by .sel(frequency=slice(low, high))."
-        raise ValueError(message("observed", "lines with modes", "none with any", advice))
+    advice = "Choose a band with peaks, by .sel(frequency=slice(low, high))."
+    require(len(fit.modes.table), message("observed", "lines with modes", "none with any", advice))
     return MeasuredModes(observed, fit, lines)
 
 
@@ -238,12 +234,11 @@ def placed(structure, labels, given, name: str) -> tuple[list[int], np.ndarray]:
     """Degrees of freedom of channels, and -1 for one that is measured in the opposite direction."""
     labels = [str(label) for label in labels]
     wanted = labels if given is None else as_list(given)
-    if wanted is None or len(wanted) != len(labels):
-        raise ValueError(message(name, f"one for each of the {len(labels)} channels", shown(given)))
-    places, signs = [], []
-    known = structure.dof_names or ()
-    if given is None and not known:
-        raise ValueError(message(name, "given for a structure whose degrees of freedom have no names", given))
+    is_whole, what = wanted is not None and len(wanted) == len(labels), "one for each of the"
+    require(is_whole, message(name, f"{what} {len(labels)} channels", shown(given)))
+    places, signs, known = [], [], structure.dof_names or ()
+    what = "given for a structure whose degrees of freedom have no names"
+    require(given is not None or known, message(name, what, given))
     for label, own in zip(labels, wanted, strict=True):
         sign = 1.0
         if isinstance(own, str):
@@ -260,87 +255,69 @@ def placed(structure, labels, given, name: str) -> tuple[list[int], np.ndarray]:
 
 def standardised(fit: TransferFit, is_force: bool):
     """q_0 (n, k), the root R (d, n k) of the information, and R S R' of each part of the model's error."""
-    n, n_in = fit.modes.inputs.shape
-    k, information = fit.modes.table.shape[1], fit.information
-    order = np.r_[0, 1, 2 + n_in : k, 2 : 2 + n_in] if is_force else np.r_[0, 1, 2 + n_in : k]
+    (n, k), n_in = fit.modes.table.shape, fit.modes.inputs.shape[1]
+    order = np.r_[0, 1, 2 + n_in : k, 2 : 2 + n_in * is_force]
     kept = (np.arange(n)[:, None] * k + order).ravel()
-    rest = np.setdiff1d(np.arange(n * k), kept)
-    information = information[np.ix_(both := np.r_[kept, rest], both)]
-    if rest.size:
-        _, information = without_rest(np.zeros(n * k), information, kept.size)
+    both = np.r_[kept, np.setdiff1d(np.arange(n * k), kept)]
+    _, information = without_rest(np.zeros(n * k), fit.information[np.ix_(both, both)], kept.size)
     q_0, (values, vectors, scale) = fit.modes.table[:, order], known_directions(information)
     root = (vectors * np.sqrt(values)).T * scale
-    n_out = fit.modes.outputs.shape[1]
-    sizes = np.concatenate(
-        [
-            np.repeat(np.sqrt(np.mean(x**2, axis=1))[:, None], x.shape[1], axis=1)
-            for x in np.split(q_0[:, 2:], [n_out], 1)
-            if x.shape[1]
-        ],
-        axis=1,
-    )
+    of_end = ends_of(q_0, k - 2 - n_in)
+    sizes = np.sqrt(q_0[:, 2:] ** 2 @ of_end / of_end.sum(axis=0)) @ of_end.T
     along = root.reshape(len(root), n, -1)
     of_f = CORRELATION + (1.0 - CORRELATION) * np.eye(n)
     of_shapes = (along[:, :, 2:] * sizes).reshape(len(root), -1)
-    parts = (
-        along[:, :, 0] @ of_f @ along[:, :, 0].T,
-        along[:, :, 1] @ along[:, :, 1].T,
-        of_shapes @ of_shapes.T,
-    )
-    return q_0, root, np.array(parts)
+    pairs = (along[:, :, 0] @ of_f, along[:, :, 0]), (along[:, :, 1],) * 2, (of_shapes,) * 2
+    return q_0, root, np.array([x @ y.T for x, y in pairs])
+
+
+def ends_of(q_0, n_out: int) -> np.ndarray:
+    """Ones (s, e) where one of the channels in q_0, responses first, is a response, or a reference."""
+    is_reference = np.arange(q_0.shape[1] - 2) >= n_out
+    return np.eye(2)[is_reference.astype(int), : 1 + is_reference.any()]
 
 
 class Misfit(NamedTuple):
     """What the log-likelihoods of particles (b,) are made of."""
 
     match: np.ndarray  # number of the mode of the model that each measured one is taken for (b, n)
-    scaled: list[np.ndarray]  # shapes of these, in the scale of the measured ones (b, n, s) each
-    factors: list[np.ndarray]  # by which they were multiplied (b, n, 1) each
+    scaled: np.ndarray  # shapes of these, in the scale of the measured ones (b, n, s)
+    factors: np.ndarray  # by which they were multiplied (b, n, s)
+    of_end: np.ndarray  # of `ends_of` (s, e)
+    balance: np.ndarray  # of the logarithms of factors by those that each end would take alone (e, e)
     z: np.ndarray  # R (q - q_0) (b, d)
     covariance: np.ndarray  # (b, d, d)
 
 
 def drawn(*given, rng=None, size=None) -> np.ndarray:
     """Draws (size, d) of the misfit, of the errors of the model and of the lines together."""
-    *of_model, q_0, root, parts, n_out = given
-    m = misfit_of(*(x[None] for x in of_model), q_0, root, parts, n_out)
+    m = misfit_of(*(x[None] for x in given[:4]), *given[4:])
     return rng.multivariate_normal(m.z[0], m.covariance[0], size=size, method="cholesky")
 
 
+@np.errstate(all="ignore")  # what is not finite has no likelihood
 def misfit_of(frequencies, ratios, shapes, sigmas, q_0, root, parts, n_out) -> Misfit:
     """Match modes (b, m) with the measured ones, and compare them."""
-    k, n_out = q_0.shape[1], int(n_out)
-    ends = [2, 2 + n_out, *([k] if k > 2 + n_out else [])]
-    measured = [q_0[:, first:last] for first, last in itertools.pairwise(ends)]
-    own = np.split(shapes, [n_out], axis=-1)[: len(measured)]
-    with np.errstate(all="ignore"):
-        ln_w, ln_z = np.log(2.0 * np.pi * frequencies), np.log(ratios)
-        score = -0.5 * ((q_0[:, :1] - ln_w[:, None]) / np.maximum(sigmas[:, 0], CLOSE)[:, None, None]) ** 2
-        for x, y in zip(own, measured, strict=True):
-            products = (x @ y.T).swapaxes(1, 2) ** 2
-            mac = products / (np.sum(x**2, axis=2)[:, None] * np.sum(y**2, axis=1)[:, None])
-            score -= 0.5 * (1.0 - mac) / np.maximum(sigmas[:, 2], ALIKE)[:, None, None] ** 2
-    match = Assignment().run([score])[0].argmax(axis=-1)
-    own = [np.take_along_axis(x, match[..., None], axis=1) for x in own]
-    with np.errstate(all="ignore"):
-        size = [np.sqrt(np.mean(x**2, axis=2, keepdims=True)) for x in own]
-        aim = [np.sqrt(np.mean(y**2, axis=1, keepdims=True)) for y in measured]
-        if len(own) == 1:
-            factors = [aim[0] / size[0]]
-        else:  # the product of both is what was measured
-            ratio = np.sqrt(size[1] * aim[0] / (size[0] * aim[1]))
-            factors = [ratio, 1.0 / ratio]
-        sense = sum(
-            np.sum(x * f * y, axis=2, keepdims=True) for x, f, y in zip(own, factors, measured, strict=True)
-        )
-    factors = [np.where(sense < 0.0, -f, f) for f in factors]
-    scaled = [x * f for x, f in zip(own, factors, strict=True)]
-    logs = [np.take_along_axis(x, match, axis=1)[..., None] for x in (ln_w, ln_z)]
-    off = np.concatenate([*logs, *scaled], axis=2) - q_0
-    with np.errstate(all="ignore"):  # what is not finite has no likelihood
-        z = off.reshape(len(off), -1) @ root.T
-        covariance = np.eye(len(root)) + np.tensordot(sigmas**2, parts, 1)
-    return Misfit(match, scaled, factors, z, covariance)
+    of_end, y = ends_of(q_0, int(n_out)), q_0[:, 2:]
+    aim, n_ends = y**2 @ of_end, of_end.shape[1]
+    logs = np.log(2.0 * np.pi * frequencies), np.log(ratios)
+    score = ((q_0[:, :1] - logs[0][:, None]) / np.maximum(sigmas[:, 0], CLOSE)[:, None, None]) ** 2
+    size, wide = shapes**2 @ of_end, np.maximum(sigmas[:, 2], ALIKE)[:, None, None] ** 2
+    for end in range(n_ends):
+        products = ((y * of_end[:, end]) @ shapes.swapaxes(1, 2)) ** 2
+        score += (1.0 - products / (size[:, None, :, end] * aim[:, None, end])) / wide
+    match = Assignment().run([-0.5 * score])[0].argmax(axis=-1)
+    own, size = (np.take_along_axis(x, match[..., None], axis=1) for x in (shapes, size))
+    # of both ends the product is what was measured
+    balance = np.eye(n_ends) - (n_ends - 1.0) / n_ends
+    factors = np.exp(0.5 * np.log(aim / size) @ balance) @ of_end.T
+    sense = np.sum(own * factors * y, axis=2, keepdims=True)
+    factors = np.where(sense < 0.0, -factors, factors)
+    logs = [np.take_along_axis(x, match, axis=1)[..., None] for x in logs]
+    off = np.concatenate([*logs, own * factors], axis=2) - q_0
+    z = off.reshape(len(off), -1) @ root.T
+    covariance = np.eye(len(root)) + np.tensordot(sigmas**2, parts, 1)
+    return Misfit(match, own * factors, factors, of_end, balance, z, covariance)
 
 
 class TransferLogp(RowOp):
@@ -389,39 +366,38 @@ def logp_and_gradient(
     of_q = -(alpha @ root).reshape(len(z), n, -1)
     of_parts = np.einsum("bi,jik,bk->bj", alpha, parts, alpha) - np.einsum("bik,jki->bj", inverse, parts)
     slopes[3][good] = sigmas[good] * of_parts
-    rows = np.flatnonzero(good)[:, None]
-    slopes[0][rows, match] = of_q[..., 0] / np.take_along_axis(frequencies[good], match, axis=1)
-    slopes[1][rows, match] = of_q[..., 1] / np.take_along_axis(ratios[good], match, axis=1)
-    # factors change with the sizes of shapes: of both by their ratio, of one against itself
-    scaled, first = [x[good] for x in m.scaled], 2
-    of_scaled, along = [], []
-    for x in scaled:
-        of_scaled.append(of_q[..., first : first + x.shape[2]])
-        along.append(np.sum(of_scaled[-1] * x, axis=2, keepdims=True))
-        first += x.shape[2]
-    change = [along[0]] if len(scaled) == 1 else [0.5 * (along[0] - along[1]), 0.5 * (along[1] - along[0])]
-    of_shapes = [
-        (g - c * x / np.sum(x**2, axis=2, keepdims=True)) * f[good]
-        for g, c, x, f in zip(of_scaled, change, scaled, m.factors, strict=True)
-    ]
-    both = np.concatenate(of_shapes, axis=2)
-    slopes[2][rows, match, : both.shape[2]] = both
+    rows, scaled = np.flatnonzero(good)[:, None], m.scaled[good]
+    for i, values in enumerate((frequencies, ratios)):
+        slopes[i][rows, match] = of_q[..., i] / np.take_along_axis(values[good], match, axis=1)
+    # factors change with the sizes of shapes
+    change = ((of_q[..., 2:] * scaled) @ m.of_end @ m.balance) / (scaled**2 @ m.of_end)
+    slopes[2][rows, match] = (of_q[..., 2:] - change @ m.of_end.T * scaled) * m.factors[good]
     return logp, *slopes
 
 
 def warn_at_start(name, found, observed, fit: TransferFit) -> None:
-    """Name peaks without a mode, and modes without a peak, at the start of a model; refuse undamped modes."""
+    """Name a peak that short segments widen; peaks without a mode, and the reverse, at the start of a model.
+
+    Refuse undamped modes.
+    """
+    if observed.attrs.get("window") == "hann":
+        duration, peaks = observed.attrs["duration"], fit.modes.natural / (2.0 * np.pi)
+        counts = 2.0 * fit.modes.ratios * peaks * duration
+        if counts.min() < IN_PEAK:
+            tell(
+                f"Hann segments of {duration:.4g} s are short for the damping of the mode at "
+                f"{peaks[counts.argmin()]:.4g} Hz, which will look larger: {counts.min():.2g} lines lie in "
+                f"its half-power width. Take segments of {duration * IN_PEAK / counts.min():.2g} s and more."
+            )
     if (values := cheap_values_at_start([found.frequencies, found.damping_ratios])) is None:
         return
     f, ratios = values
-    if not (ratios[f > 0.0] > 0.0).all():
-        got = f"ratios of {ratios[f > 0.0].min():.3g}"
-        raise ValueError(message("structure", "damped in all modes but those of a rigid body", got))
-    if (f > 0.0).sum() < len(fit.modes.natural):
-        got = f"{len(f)}, {(f == 0.0).sum()} of them of a rigid body"
-        raise ValueError(
-            message("n_modes", f"more than {len(fit.modes.natural)}, those that were measured", got)
-        )
+    n, bends = len(fit.modes.table), f > 0.0
+    got = f"ratios of {ratios[bends].min(initial=np.inf):.3g}"
+    is_damped = (ratios[bends] > 0.0).all()
+    require(is_damped, message("structure", "damped in all modes but those of a rigid body", got))
+    got = f"{len(f)}, {(f == 0.0).sum()} of them of a rigid body"
+    require(bends.sum() >= n, message("n_modes", f"more than {n}, those that were measured", got))
     low, high = observed["frequency"].values[[0, -1]]
     inside, peaks = f[(f > low) & (f < high)], fit.modes.natural / (2.0 * np.pi)
     if len(inside) != len(peaks):
@@ -431,21 +407,4 @@ def warn_at_start(name, found, observed, fit: TransferFit) -> None:
             f"{name} shows {len(peaks)} modes between {low:.4g} and {high:.4g} Hz, at {seen} Hz, and the "
             f"model has {len(inside)} there at its initial point, at {own} Hz: some {many} have no {few}. "
             "Choose another band, by .sel(frequency=slice(low, high)), or the start of the parameters."
-        )
-
-
-def tell(text: str) -> None:
-    """Warn of modes that do not fit together, at the user's line."""
-    warn_caller(text, ModalMatchWarning)
-
-
-def warn_of_segments(fit: TransferFit, duration: float) -> None:
-    """Name the mode whose peak is widened most, where segments of averages are short for its damping."""
-    counts = fit.modes.ratios * fit.modes.natural / np.pi * duration
-    if counts.min() < IN_PEAK:
-        f = fit.modes.natural[counts.argmin()] / (2.0 * np.pi)
-        tell(
-            f"Hann segments of {duration:.4g} s are short for the damping of the mode at {f:.4g} Hz, which "
-            f"will look larger: {counts.min():.2g} lines lie in its half-power width. Take segments of "
-            f"{duration * IN_PEAK / counts.min():.2g} s and more."
         )

@@ -5,9 +5,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pymc_features._checks import as_array, as_list, as_numbers, is_number, message, shown, warn_caller
+from pymc_features._checks import (
+    as_array,
+    as_list,
+    as_numbers,
+    is_number,
+    message,
+    require,
+    shown,
+    warn_caller,
+)
 from pymc_features.exceptions import ModalMatchWarning
-from pymc_features.modal.data import ModalData, mac, refusal
+from pymc_features.modal.data import ModalData, check_numbers, demand, mac
 from pymc_features.ops import by_labels
 
 FIELDS = ("frequencies", "shapes", "frequency_sd", "damping_ratios", "damping_sd", "shape_sd")
@@ -98,19 +107,37 @@ def identified(observed, labels=None, *, damping: bool = False) -> Identified:
         labels = getattr(observed, "labels", None) if labels is None else labels
     else:
         given = {"frequencies": observed}
-    checked = {name: given.get(name) for name in ("damping_ratios", "damping_sd") if damping}
-    modal = ModalData(given["frequencies"], **checked)
-    frequencies = modal.frequencies
-    arrays = {"frequencies": frequencies}
-    arrays["shapes"], arrays["shape_sd"] = _shapes(
-        given.get("shapes"), given.get("shape_sd"), frequencies.size
-    )
-    arrays["sd"] = _spreads(given.get("frequency_sd"), frequencies, "frequency_sd", "Pass Hz") / frequencies
+    frequencies = ModalData(given["frequencies"]).frequencies
+    shapes, n = _shapes(given.get("shapes"), frequencies.size), frequencies.size
+
+    def spread(name: str, value) -> np.ndarray | float:
+        """Standard deviations, zero where there is none."""
+        if value is None:
+            return 0.0
+        values = as_numbers(value, name)
+        values = np.where(values == 0.0, np.nan, values)
+        return np.nan_to_num(check_numbers(values, name, n, shapes.shape[1]))
+
+    shape_sd = by_labels(given.get("shape_sd"), axes=("mode", "sensor")) if shapes.size else None
+    arrays = {
+        "frequencies": frequencies,
+        "sd": spread("frequency_sd", given.get("frequency_sd")) / frequencies,
+    }
+    arrays |= {"shapes": shapes, "shape_sd": spread("shape_sd", shape_sd) + np.zeros(shapes.shape)}
     if damping:
-        arrays["damping"], arrays["damping_sd"] = _damping(modal)
+        ratios = _damping(given.get("damping_ratios"), n)
+        sd = spread("damping_sd", given.get("damping_sd"))
+        arrays |= {"damping": ratios, "damping_sd": np.nan_to_num(sd / ratios)}
     if labels is None:
-        labels = _numbers(doubles(np.log(frequencies), arrays["sd"], arrays["shapes"]))
-    owner, names = _labels(labels, frequencies.size)
+        labels = doubles(np.log(frequencies), arrays["sd"], arrays["shapes"])
+    listed, labels = as_list(labels), as_array(labels)
+    is_whole, what = listed is not None and labels.shape == (n,), f"{n} labels, one for each identification"
+    require(is_whole, message("labels", what, f"shape {labels.shape}"))
+    if not all(isinstance(label, str) or is_number(label) for label in listed):
+        raise TypeError(message("labels", "texts or numbers", shown(listed)))
+    names, first, owner = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.argsort(first)  # that of the first identifications
+    names, owner = names[order], np.argsort(order)[owner]
     groups = owner == np.arange(len(names))[:, None]
     rows = np.full((len(names), groups.sum(axis=1).max()), -1)
     rows[owner, groups.cumsum(axis=1)[owner, np.arange(owner.size)] - 1] = np.arange(owner.size)
@@ -119,62 +146,42 @@ def identified(observed, labels=None, *, damping: bool = False) -> Identified:
     return Identified(names, groups, **by_mode)
 
 
-def identification_names(labels, there) -> list[str]:
-    """Names of identifications (g, k): the label of each one's mode, with a number where it has several."""
-    several = np.sum(there, axis=1) > 1
-    return [f"{labels[g]}.{j}" if several[g] else f"{labels[g]}" for g, j in np.argwhere(there)]
-
-
-def _spreads(sd, values, name, advice):
-    """Standard deviations of values; a missing one is zero, as one that was not identified."""
-    sd = np.zeros(values.shape) if sd is None else as_numbers(sd, name)
-    if sd.shape != values.shape or (sd < 0.0).any() or np.isinf(sd).any():
-        what = f"{values.size if values.ndim == 1 else values.shape} numbers that are not negative"
-        raise ValueError(message(name, what, shown(sd), f"{advice}, NaN where there is none."))
-    return np.nan_to_num(sd)
-
-
-def _damping(modal: ModalData):
-    """Damping ratios, NaN where there is none, and standard deviations of their logarithms, zero for none."""
-    unknown = np.full(len(modal), np.nan)
-    ratios, sd = (unknown if x is None else x for x in (modal.damping_ratios, modal.damping_sd))
+def _damping(ratios, n: int) -> np.ndarray:
+    """Damping ratios (n,), NaN where there is none."""
+    ratios = np.full(n, np.nan) if ratios is None else check_numbers(ratios, "damping_ratios", n)
     advice = "Leave out `sigma_zeta`, or read the damping ratios as well."
-    if np.isnan(ratios).all():
-        raise refusal("`damping_ratios` must be known where `sigma_zeta` is given", "none", advice)
-    if (ratios == 0.0).any():
-        what = "`damping_ratios` must be positive to be compared"
-        got = f"zero of mode {np.flatnonzero(ratios == 0.0)[0]}"
-        raise refusal(what, got, "Pass NaN where it is not known.")
-    return ratios, np.nan_to_num(sd / ratios)
+    what = "`damping_ratios` must be known where `sigma_zeta` is given"
+    demand(not np.isnan(ratios).all(), what, "none", advice)
+    got = f"zero of mode {np.argmin(ratios != 0.0)}"
+    what = "`damping_ratios` must be positive to be compared"
+    demand((ratios != 0.0).all(), what, got, "Pass NaN where it is not known.")
+    return ratios
 
 
-def _shapes(shapes, sd, n):
-    """Shapes (n, s), s = 0 without, and their standard deviations; a shape of one entry says nothing."""
-    shapes, sd = (by_labels(x, axes=("mode", "sensor")) for x in (shapes, sd))
+def _shapes(shapes, n: int) -> np.ndarray:
+    """Shapes (n, s), s = 0 without; a shape of one entry says nothing."""
+    shapes = by_labels(shapes, axes=("mode", "sensor"))
     if shapes is None:
-        return np.zeros((n, 0)), np.zeros((n, 0))
+        return np.zeros((n, 0))
     shapes = as_numbers(shapes, "shapes", allow_complex=True)
-    if shapes.ndim != 2 or shapes.shape[0] != n:
-        what = f"({n}, channels) to match `frequencies`"
-        advice = "Give one row for each mode, NaN where a channel is missing; transpose modes in columns."
-        raise ValueError(message("shapes", what, shapes.shape, advice))
-    if np.isinf(shapes).any():
-        raise ValueError(message("shapes", "finite", "infinity", "Pass NaN where a channel is missing."))
+    advice = "Give one row for each mode, NaN where a channel is missing; transpose modes in columns."
+    is_whole = shapes.ndim == 2 and len(shapes) == n
+    require(is_whole, message("shapes", f"({n}, channels) to match `frequencies`", shapes.shape, advice))
+    finite = message("shapes", "finite", "infinity", "Pass NaN where a channel is missing.")
+    require(not np.isinf(shapes).any(), finite)
     known = ~np.isnan(shapes)
     known &= known.sum(axis=1, keepdims=True) > 1
     zero = known.any(axis=1) & ~np.where(known, shapes, 0.0).any(axis=1)
-    if zero.any():
-        got = f"zeros in row {zero.argmax()}"
-        raise ValueError(message("shapes", "not zero", got, "Pass NaN where a shape is missing."))
-    sd = _spreads(sd, shapes, "shape_sd", "Pass one for each entry of `shapes`")
-    return np.where(known, shapes, np.nan), sd
+    got = f"zeros in row {zero.argmax()}"
+    require(not zero.any(), message("shapes", "not zero", got, "Pass NaN where a shape is missing."))
+    return np.where(known, shapes, np.nan)
 
 
-def doubles(ln_f, sd, shapes) -> np.ndarray:
+def doubles(ln_f, sd, shapes) -> list[int]:
     """Number (i,) of the first identification that each is the same as, its own if there is none before it.
 
     The same are those whose frequencies are closer than their standard deviations and whose shapes agree, at
-    three channels or more.
+    three channels or more; they are named in a warning.
     """
     known = (~np.isnan(shapes)).astype(np.int64)
     same = (known @ known.T > 2) & (mac(shapes, shapes) > SAME)
@@ -183,13 +190,7 @@ def doubles(ln_f, sd, shapes) -> np.ndarray:
     for i in owner:
         if same[i, :i].any():
             owner[i] = owner[same[i].argmax()]
-    return owner
-
-
-def _numbers(owner):
-    """A number for each mode; says which are taken for one that was found twice."""
-    twice = [f"{i} and {first}" for i, first in enumerate(owner) if first != i]
-    if twice:
+    if twice := [f"{i} and {first}" for i, first in enumerate(owner) if first != i]:
         warn_caller(
             f"the identified modes {', '.join(twice)} (0 the first) are taken for one that was found twice: "
             "their frequencies are closer than their standard deviations, and their shapes agree. Leave one "
@@ -197,19 +198,6 @@ def _numbers(owner):
             ModalMatchWarning,
         )
     return owner.tolist()
-
-
-def _labels(labels, n):
-    """The mode of each identification, and what the modes are called, in the order of their first."""
-    given, labels = as_list(labels), as_array(labels)
-    if given is None or labels.shape != (n,):
-        what = f"{n} labels, one for each identification"
-        raise ValueError(message("labels", what, f"shape {labels.shape}"))
-    if not all(isinstance(label, str) or is_number(label) for label in given):
-        raise TypeError(message("labels", "texts or numbers", shown(given)))
-    names, first, owner = np.unique(labels, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    return np.argsort(order)[owner], names[order]
 
 
 # --- several identifications of one mode: in one sense, and how much they scatter --------------------------

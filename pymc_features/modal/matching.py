@@ -101,14 +101,9 @@ class Parameters(NamedTuple):
         """Frequencies and damping ratios (..., k), and real (and imaginary) parts (..., k, s) of shapes."""
         k, s = self.sd_f.type.shape[-1], self.shapes.type.shape[-1]
         n, damped = self.known.type.shape[-1] // k, self.sd_zeta.type.shape[-1] > 0
-        rows = by_identification(rows, k, n)
+        rows = rows.reshape((*rows.shape[:-1], k, n))
         parts = [rows[..., i : i + s] for i in range(1 + damped, n, s)] if s else []
         return rows[..., 0], rows[..., 1] if damped else None, parts
-
-
-def by_identification(rows, k, n):
-    """Rows (..., k n) of modes as (..., k, n), an axis for their identifications."""
-    return rows.reshape((*rows.shape[:-1], k, n))
 
 
 class ModalFeatureRV(SymbolicRandomVariable):
@@ -183,31 +178,33 @@ def drawn_shapes(p: Parameters, masks, full_size, rng):
     return rng, pt.sqrt(1.0 - pt.minimum(e, 1.0)) * unit + off / pt.sqrt(pt.maximum(e, 1.0))
 
 
-def variances(sigma, sd, there):
-    """Shared (..., 1) and own (..., k) variances of logarithms.
+def split_error(sigma, own, several):
+    """Variances that the identifications of a mode share, and `own` ones of each: the error of the model.
 
-    The error of the model is shared by the identifications of a mode. Where there is one, it is its own.
+    Where there are several it is shared by them. Where there is one, it is its own.
     """
-    of_model = pt.sqr(sigma)[..., None]
-    several = pt.sum(there, axis=-1, keepdims=True) > 1.0
-    return pt.switch(several, of_model, 0.0), pt.sqr(sd) + pt.switch(several, 0.0, of_model)
+    return pt.switch(several, pt.sqr(sigma), 0.0), own + pt.switch(several, 0.0, pt.sqr(sigma))
+
+
+def variances(sigma, sd, there):
+    """Shared (..., 1) and own (..., k) variances of logarithms."""
+    return split_error(sigma[..., None], pt.sqr(sd), pt.sum(there, axis=-1, keepdims=True) > 1.0)
 
 
 def shape_variances(p: Parameters):
     """Variances of shapes, for each degree of freedom: the scatter of lone ones is zero."""
-    of_model = pt.sqr(p.sigma_phi)[..., None]
-    several = pt.any(p.scatter > 0.0, axis=-1, keepdims=True)
-    own = pt.switch(p.scatter > 0.0, p.scatter / p.degrees[..., None], of_model)
-    return pt.switch(several, of_model, 0.0), own
+    sigma, scatter = p.sigma_phi[..., None], p.scatter > 0.0
+    several = pt.any(scatter, axis=-1, keepdims=True)
+    shared, own = split_error(sigma, p.scatter / p.degrees[..., None], several)
+    return shared, pt.switch(scatter, own, pt.sqr(sigma))
 
 
 def entry_variances(p: Parameters, mask):
     """Shared (..., 1, 1) and own (..., k, s) variances of entries of a root mean square of one, 1 of none."""
-    of_model = pt.sqr(p.sigma_phi)[..., None, None]
     several = pt.sum(pt.any(mask > 0.0, axis=-1), axis=-1)[..., None, None] > 1
-    scatter = by_identification(p.scatter, *mask.type.shape[-2:])
-    own = scatter + pt.switch(several, 0.0, of_model)
-    return pt.switch(several, of_model, 0.0), pt.switch(mask > 0.0, own, 1.0)
+    scatter = p.scatter.reshape((*p.scatter.shape[:-1], *mask.type.shape[-2:]))
+    shared, own = split_error(p.sigma_phi[..., None, None], scatter, several)
+    return shared, pt.switch(mask > 0.0, own, 1.0)
 
 
 def normalised(rows):

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from pymc_features._checks import check_number, check_texts, listed, shown
-from pymc_features.modal.data import ModalData, agreement, find_channels, refusal, warn_modes, without_nan
+from pymc_features._checks import check_number, check_texts, listed, require, shown
+from pymc_features.modal.data import ModalData, agreement, demand, find_channels, warn_modes, without_nan
 
 RADIANS = (2.0 * np.pi, 0.5 / np.pi)  # ratios of rad/s and Hz
 STILL = 0.1  # of the largest entry of a shape: references below it give its scale poorly
@@ -77,15 +77,13 @@ def merge_setups(
     (('roof', 'floor 2', 'floor 1'), array([[1. , 0.5, 0.3]]))
     """
     setups = _checked_setups(setups)
-    references = _checked_references(setups, references)
+    shared = _shared_channels(setups, references)
+    what, advice = "`frequency_tolerance` must be a fraction from 0 to 1", "Divide a percentage by 100."
     tolerance = check_number(frequency_tolerance, "frequency_tolerance")
+    demand(0.0 < tolerance < 1.0, what, tolerance, advice)
     least = check_number(least_mac, "least_mac")
-    if not 0.0 < tolerance < 1.0:
-        what = "`frequency_tolerance` must be a fraction from 0 to 1"
-        raise refusal(what, tolerance, "Divide a percentage by 100.")
-    if not 0.0 <= least <= 1.0:
-        raise refusal("`least_mac` must be from 0 to 1", least)
-    found = Found(setups, references)
+    demand(0.0 <= least <= 1.0, "`least_mac` must be from 0 to 1", least)
+    found = Found(setups, shared)
     for number in found.order():
         found.join(number, tolerance, least)
     return found.merged()
@@ -98,73 +96,66 @@ def _checked_setups(setups) -> list[ModalData]:
         if not isinstance(setup, ModalData):
             got = f"{type(setup).__name__} at index {number}"
             raise TypeError(f"`setups` must be ModalData, got {got}. Read it with `read_modal`.")
-        if setup.shapes is None:
-            raise ValueError(
-                f"`setups` must have shapes, set-up {number} has none. Average its frequencies yourself, or "
-                "leave it out."
-            )
+        advice = "Average its frequencies yourself, or leave it out."
+        what = f"`setups` must have shapes, set-up {number} has none. {advice}"
+        require(setup.shapes is not None, what)
     return list(setups)
 
 
-def _checked_references(setups, references) -> list[str]:
-    """Names of the references: all channels that several set-ups have."""
+def _shared_channels(setups, references) -> list[str]:
+    """Names of the channels that several set-ups have, which `references` name if they are given."""
     holders = Counter(name for setup in setups for name in setup.channels)
     shared = [name for name, count in holders.items() if count > 1]
-    if not shared:
-        got = "; ".join(f"set-up {k}: {listed(s.channels, 8)}" for k, s in enumerate(setups))
-        advice = "Give the same sensor the same name in all set-ups."
-        raise refusal("`setups` must have channels in common", f"none: {got}", advice)
-    if references is None:
-        return shared
-    references = check_texts(references, "references", "a sequence of names")
-    find_channels(references, shared, "several set-ups")
+    got = "; ".join(f"set-up {k}: {listed(s.channels, 8)}" for k, s in enumerate(setups))
+    advice = "Give the same sensor the same name in all set-ups."
+    demand(shared, "`setups` must have channels in common", f"none: {got}", advice)
+    if references is not None:
+        references = check_texts(references, "references", "a sequence of names")
+        find_channels(references, shared, "several set-ups")
     for name in shared:
-        if name not in references:
-            where = [number for number, setup in enumerate(setups) if name in setup.channels]
-            raise ValueError(
-                f"`references` must name all channels that set-ups share, {name!r} is in set-ups {where}. "
-                "Add it, or rename it in one of them if these are two channels."
-            )
-    return [str(name) for name in references]
+        where = [number for number, setup in enumerate(setups) if name in setup.channels]
+        require(
+            references is None or name in references,
+            f"`references` must name all channels that set-ups share, {name!r} is in set-ups {where}. Add "
+            "it, or rename it in one of them if these are two channels.",
+        )
+    return shared
 
 
 class Found:
     """All modes of all set-ups, a row for each, at all channels; NaN for what a set-up does not have."""
 
-    def __init__(self, setups: list[ModalData], references: list[str]):
-        self.setups = setups
+    def __init__(self, setups: list[ModalData], shared: list[str]):
+        self.setups, n = setups, len(setups)
         self.names = list(dict.fromkeys(name for setup in setups for name in setup.channels))
-        self.numbers = np.repeat(np.arange(len(setups)), [len(setup) for setup in setups])
+        self.numbers = np.repeat(np.arange(n), [len(setup) for setup in setups])
         self.frequencies = self.column("frequencies")
         self.shapes, self.shape_sd = self.column("shapes"), self.column("shape_sd")
-        self.at = find_channels(references, self.names, "all")
+        self.at = [self.names.index(name) for name in shared]
         parts = self.shapes[:, self.at]
-        known = [~np.isnan(parts[self.numbers == number]).all(axis=0) for number in range(len(setups))]
+        known = [~np.isnan(parts[self.numbers == number]).all(axis=0) for number in range(n)]
         self.known = np.array(known)  # (set-up, reference)
-        has_references = np.array([not {*references}.isdisjoint(setup.channels) for setup in setups])
+        has_references = np.array([not {*shared}.isdisjoint(setup.channels) for setup in setups])
         still = has_references[self.numbers] & ~without_nan(parts).any(axis=1)
-        if still.any():
-            raise ValueError(
-                f"`references` must move in every mode, the mode at {self.frequencies[still][0]:.4g} Hz of "
-                f"set-up {self.numbers[still][0]} has no entry there but zeros and NaN. Name others, or "
-                "leave out this mode by `select`."
-            )
-        self.modes = np.where(
-            self.numbers == 0, np.arange(len(self.numbers)), -1
-        )  # the merged one of each row
+        row = still.argmax()
+        require(
+            not still.any(),
+            f"`references` must move in every mode, the mode at {self.frequencies[row]:.4g} Hz of set-up "
+            f"{self.numbers[row]} has no entry there but zeros and NaN. Name others, or leave out this mode "
+            "by `select`.",
+        )
+        self.modes = np.where(self.numbers == 0, np.arange(len(self.numbers)), -1)  # merged one of each row
 
     def column(self, name: str) -> np.ndarray:
         """What set-ups know of their modes, (row,) or (row, channel)."""
-        parts = []
-        for setup in self.setups:
-            values = getattr(setup, name)
-            if not name.startswith("shape"):
-                parts.append(np.full(len(setup), np.nan) if values is None else values)
-                continue
-            part = np.full((len(setup), len(self.names)), np.nan, dtype=getattr(values, "dtype", np.float64))
-            part[:, find_channels(setup.channels, self.names, "all")] = np.nan if values is None else values
-            parts.append(part)
-        return np.concatenate(parts)
+        values = {k: x for k, s in enumerate(self.setups) if (x := getattr(s, name)) is not None}
+        of_channels = [len(self.names)] * name.startswith("shape")
+        kind = np.result_type(np.float64, *values.values())
+        whole = np.full((len(self.numbers), *of_channels), np.nan, kind)
+        for k, x in values.items():
+            places = [[self.names.index(channel) for channel in self.setups[k].channels]]
+            whole[np.ix_(self.numbers == k, *places[: x.ndim - 1])] = x
+        return whole
 
     def by_mode(self, function: Callable, *columns: np.ndarray) -> np.ndarray:
         """What a function makes of the rows of each merged mode."""
@@ -176,12 +167,11 @@ class Found:
         joined, remaining = self.known[0], list(range(1, len(self.setups)))
         while remaining:
             number = next((k for k in remaining if (joined & self.known[k]).any()), None)
-            if number is None:
-                raise ValueError(
-                    f"`setups` must be connected by references, set-ups {remaining} share none with the "
-                    "others. Give the same sensor the same name in all set-ups, or merge the parts by "
-                    "themselves."
-                )
+            require(
+                number is not None,
+                f"`setups` must be connected by references, set-ups {remaining} share none with the others. "
+                "Give the same sensor the same name in all set-ups, or merge the parts by themselves.",
+            )
             yield number
             joined = joined | self.known[number]
             remaining.remove(number)
@@ -212,23 +202,9 @@ class Found:
         means = self.by_mode(mean_entries, self.frequencies)
         order = np.argsort(means, kind="stable")
         self.modes = np.argsort(order)[self.modes]
-        self._warn(means[order])
-        numbers = {}
-        for values, sds in (("frequencies", "frequency_sd"), ("damping_ratios", "damping_sd")):
-            numbers[values], numbers[sds] = self.by_mode(_average, self.column(values), self.column(sds)).T
-        if np.isnan(numbers["frequency_sd"]).any():
-            del numbers["frequency_sd"]
-        numbers = {name: values for name, values in numbers.items() if not np.isnan(values).all()}
-        if any(setup.shape_sd is not None for setup in self.setups):
-            numbers["shape_sd"] = self.by_mode(spread_of_mean, self.shapes, self.shape_sd)
-        shapes = self.by_mode(mean_entries, self.shapes)
-        return ModalData(shapes=shapes, channels=self.names, **numbers)
-
-    def _warn(self, means) -> None:
-        """Warn of modes that are not in all set-ups, and of references that hardly move."""
         sizes = np.abs(without_nan(self.shapes))
         moving = sizes[:, self.at].max(axis=1) / sizes.max(axis=1)
-        for mode, mean in enumerate(means):
+        for mode, mean in enumerate(means[order]):
             rows = np.flatnonzero(self.modes == mode)
             if len(rows) < len(self.setups):
                 warn_modes(
@@ -241,6 +217,14 @@ class Found:
                     f"{self.numbers[row]}, {moving[row]:.2g} of its largest entry: its scale is uncertain. "
                     "Leave the mode out by `select`, or name better `references`."
                 )
+        numbers = {"shapes": self.by_mode(mean_entries, self.shapes)}
+        for values, sds in (("frequencies", "frequency_sd"), ("damping_ratios", "damping_sd")):
+            numbers[values], numbers[sds] = self.by_mode(_average, self.column(values), self.column(sds)).T
+        if np.isnan(numbers["frequency_sd"]).any():
+            del numbers["frequency_sd"]
+        numbers["shape_sd"] = self.by_mode(spread_of_mean, self.shapes, self.shape_sd)
+        known = {name: values for name, values in numbers.items() if not np.isnan(values).all()}
+        return ModalData(channels=self.names, **known)
 
 
 def _factor(shape: np.ndarray, wanted: np.ndarray):
@@ -273,17 +257,17 @@ def _nothing_in_common(number, found, means, best, tolerance, least) -> ValueErr
     )
 
 
+@np.errstate(invalid="ignore")
 def mean_entries(rows: np.ndarray) -> np.ndarray:
     """Mean of rows, without NaN; NaN where there is nothing else."""
-    count = (~np.isnan(rows)).sum(axis=0)
-    return np.where(count > 0, without_nan(rows).sum(axis=0) / np.maximum(count, 1), np.nan)
+    return without_nan(rows).sum(axis=0) / (~np.isnan(rows)).sum(axis=0)
 
 
+@np.errstate(invalid="ignore")
 def spread_of_mean(rows: np.ndarray, sd: np.ndarray) -> np.ndarray:
     """Standard deviation of `mean_entries`."""
-    unknown = np.isnan(rows)
-    squares, count = np.sum(np.where(unknown, 0.0, sd) ** 2, axis=0), (~unknown).sum(axis=0)
-    return np.where(count > 0, np.sqrt(squares) / np.maximum(count, 1), np.nan)
+    known = ~np.isnan(rows)
+    return np.sqrt(np.sum(np.where(known, sd, 0.0) ** 2, axis=0)) / known.sum(axis=0)
 
 
 def _average(x: np.ndarray, sd: np.ndarray) -> tuple[float, float]:

@@ -73,43 +73,35 @@ class Experiment(NamedTuple):
 
 
 class TransferModes(NamedTuple):
-    """Modes, and what the lines say of them and of all else."""
+    """Modes, and what the lines say of all else."""
 
-    natural: np.ndarray  # (n,) [rad/s]
-    ratios: np.ndarray  # (n,)
-    inputs: np.ndarray  # p_r (n, r)
-    outputs: np.ndarray  # p_a (n, a)
+    table: np.ndarray  # q (n, 2 + r + a): ln w [rad/s], ln zeta, p_r and p_a of each mode
     rest: np.ndarray  # (a, r, ..), of the terms of `BEYOND` or `NEAR`, over their root mean squares
     ends: np.ndarray  # amplitudes of free decays (experiment, n, 2), of no experiment where there are none
 
-    @property
-    def table(self) -> np.ndarray:
-        """q (n, 2 + r + a)."""
-        logs = np.log(np.stack([self.natural, self.ratios], axis=1))
-        return np.concatenate([logs, self.inputs, self.outputs], axis=1)
+    natural = property(lambda self: np.exp(self.table[:, 0]), doc="Angular frequencies (n,) [rad/s].")
+    ratios = property(lambda self: np.exp(self.table[:, 1]), doc="Damping ratios (n,).")
+    inputs = property(lambda self: self.table[:, 2 : 2 + self.rest.shape[1]], doc="p_r (n, r).")
+    outputs = property(lambda self: self.table[:, 2 + self.rest.shape[1] :], doc="p_a (n, a).")
+
+    def chosen(self, which) -> "TransferModes":
+        """Some of the modes."""
+        return TransferModes(self.table[which], self.rest, self.ends[:, which])
 
     def moved(self, step) -> "TransferModes":
         """Modes after a step (k,) of all unknowns."""
-        r = self.inputs.shape[1]
-        of_modes, of_rest, of_ends = np.split(step, np.cumsum([self.table.size, self.rest.size]))
-        of_modes = of_modes.reshape(self.table.shape)
-        of_modes[:, :2] = of_modes[:, :2].clip(-0.3, 0.3)
-        table = self.table + of_modes
-        return TransferModes(
-            *np.exp(table[:, :2].T),
-            table[:, 2 : 2 + r],
-            table[:, 2 + r :],
-            self.rest + of_rest.reshape(self.rest.shape),
-            self.ends + of_ends.reshape(self.ends.shape),
-        )
+        parts = np.split(step, np.cumsum([self.table.size, self.rest.size]))
+        steps = [x.reshape(old.shape) for x, old in zip(parts, self, strict=True)]
+        steps[0][:, :2] = steps[0][:, :2].clip(-0.3, 0.3)
+        return TransferModes(*(x + old for x, old in zip(steps, self, strict=True)))
 
     def balanced(self) -> "TransferModes":
         """Modes with p_r and p_a of one root mean square, and the largest p_a positive."""
         size = [np.sqrt(np.mean(x**2, axis=1, keepdims=True)) for x in (self.inputs, self.outputs)]
         largest = np.take_along_axis(self.outputs, np.abs(self.outputs).argmax(axis=1)[:, None], axis=1)
         scale = np.sqrt(size[1] / size[0]) * np.sign(largest)
-        ends = self.ends * np.abs(scale) * np.sign(largest)
-        return self._replace(inputs=self.inputs * scale, outputs=self.outputs / scale, ends=ends)
+        table = np.hstack([self.table[:, :2], self.inputs * scale, self.outputs / scale])
+        return TransferModes(table, self.rest, self.ends * np.abs(scale) * np.sign(largest))
 
 
 class TransferFit(NamedTuple):
@@ -182,17 +174,14 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
     `drift` is the standard deviation of ln w of all modes from one reference to the next, `gain` that of the
     logarithm of the sensitivity of each sensor.
     """
-    w, z, p_in, p_out, rest, ends = modes
-    (n, n_in), n_out = p_in.shape, p_out.shape[1]
-    n_rest = rest.shape[2]
-    at, at_rest, n_columns = np.arange(n), np.arange(n_rest), 3 * n + n_rest
-    kinds = {(e.drift, e.blow) for e in experiments}
+    w, z, p_in, p_out = modes.natural, modes.ratios, modes.inputs, modes.outputs
+    (n, n_in), n_out, n_rest = p_in.shape, p_out.shape[1], modes.rest.shape[2]
+    n_columns, kinds = 3 * n + n_rest, {(e.drift, e.blow) for e in experiments}
     columns = {kind: columns_of(w * np.exp(kind[0]), z, lines, kind[1]) for kind in kinds}
-    width, size = 2 + n_in + n_out, n * (2 + n_in + n_out)
-    first_rest, first_end = size, size + rest.size
-    first_drift = first_end + ends.size
-    total = first_drift + (n_in if drift else 0) + (n_in + n_out if gain else 0)
-    information, gradient = np.zeros((total, total)), np.zeros(total)
+    sizes = [*(x.size for x in modes), n_in * (drift > 0.0), (n_in + n_out) * (gain > 0.0)]
+    *places, at_drift, at_gain = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+    at, at_rest, at_end = (place.reshape(x.shape) for place, x in zip(places, modes, strict=True))
+    information, gradient = np.zeros((sum(sizes),) * 2), np.zeros(sum(sizes))
     log_likelihood = square = count = 0
     for e, experiment in enumerate(experiments):
         basis = np.concatenate(
@@ -201,25 +190,22 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
         if lines.decays:
             basis = np.concatenate([basis, *free_decays(w, z, lines)])
         for a, (y, v) in enumerate(zip(experiment.response, experiment.variance, strict=True)):
-            to, linear = np.zeros((len(basis), total)), np.zeros(len(basis))
+            to, linear = np.zeros((len(basis), sum(sizes))), np.zeros(len(basis))
             for i, r in enumerate(experiment.inputs):
-                start, both = i * n_columns, p_out[:, a] * p_in[:, r]
-                of_g, of_rest = start + at, start + 3 * n
-                linear[of_g], linear[of_rest : of_rest + n_rest] = both, rest[a, r]
-                to[of_g, at * width + 2 + r] = p_out[:, a]
-                to[of_g, at * width + 2 + n_in + a] = p_in[:, r]
-                to[of_g + n, at * width] = to[of_g + 2 * n, at * width + 1] = both
-                to[of_rest + at_rest, first_rest + n_rest * (a * n_in + r) + at_rest] = 1.0
+                rows, both = np.arange(i * n_columns, (i + 1) * n_columns), p_out[:, a] * p_in[:, r]
+                of_g, of_w, of_z, of_rest = np.split(rows, [n, 2 * n, 3 * n])
+                linear[of_g], linear[of_rest] = both, modes.rest[a, r]
+                to[of_g, at[:, 2 + r]], to[of_g, at[:, 2 + n_in + a]] = p_out[:, a], p_in[:, r]
+                to[of_w, at[:, 0]] = to[of_z, at[:, 1]] = both
+                to[of_rest, at_rest[a, r]] = 1.0
                 if drift:
-                    to[of_g + n, first_drift + r] = both
+                    to[of_w, at_drift[r]] = both
                 if gain:
-                    to[of_g, total - n_out - n_in + r] = to[of_g, total - n_out + a] = both
-            if lines.decays:
-                for j in range(2):
-                    rows = len(basis) - (2 - j) * n + at
-                    linear[rows] = p_out[:, a] * ends[e, :, j]
-                    to[rows, at * width + 2 + n_in + a] = ends[e, :, j]
-                    to[rows, first_end + (e * n + at) * 2 + j] = p_out[:, a]
+                    to[of_g, at_gain[r]] = to[of_g, at_gain[n_in + a]] = both
+            for j in range(2 * lines.decays):
+                rows, end = len(basis) + np.arange((j - 2) * n, (j - 1) * n), modes.ends[e, :, j]
+                linear[rows] = p_out[:, a] * end
+                to[rows, at[:, 2 + n_in + a]], to[rows, at_end[e, :, j]] = end, p_out[:, a]
             off = y - linear @ basis
             root = np.sqrt(2.0 / v)
             scaled, rest_scaled = np.multiply(basis, root).view(np.float64), (off * root).view(np.float64)
@@ -228,13 +214,12 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
             square += 0.5 * rest_scaled @ rest_scaled
             log_likelihood -= 0.5 * rest_scaled @ rest_scaled + np.sum(np.log(v))
             count += off.size
-    priors = [*[drift] * (n_in if drift else 0), *[gain] * (n_in + n_out if gain else 0)]
-    information[first_drift:, first_drift:] += np.diag(np.array(priors) ** -2.0)
     if drift:
-        shifts = np.zeros(n_in)
-        for e in experiments:
-            shifts[e.inputs] = e.drift
-        gradient[first_drift : first_drift + n_in] -= shifts / drift**2
+        information[at_drift, at_drift] += drift**-2.0
+        for experiment in experiments:
+            gradient[at_drift[experiment.inputs]] -= experiment.drift / drift**2
+    if gain:
+        information[at_gain, at_gain] += gain**-2.0
     return log_likelihood, square / count, gradient, information
 
 
@@ -321,9 +306,9 @@ def further_mode(modes: TransferModes, experiments, lines, passed) -> TransferMo
     best = int(np.sum(above**2 / below, axis=(1, 2)).argmax())
     left, size, right = np.linalg.svd(above[best] / below[best], full_matrices=False)
     root = np.sqrt(size[0])
-    add = [w[best : best + 1], z[best : best + 1], root * right[:1], root * left[:, :1].T]
-    table = [np.concatenate(pair) for pair in zip(modes[:4], add, strict=True)]
-    return TransferModes(*table, modes.rest, np.pad(modes.ends, ((0, 0), (0, 1), (0, 0)))).balanced()
+    row = np.r_[np.log(w[best]), np.log(z[best]), root * right[0], root * left[:, 0]]
+    ends = np.pad(modes.ends, ((0, 0), (0, 1), (0, 0)))
+    return TransferModes(np.vstack([modes.table, row]), modes.rest, ends).balanced()
 
 
 def are_seen(modes: TransferModes, experiments, lines: Lines, widest=WIDEST) -> np.ndarray:
@@ -368,14 +353,9 @@ def fit_modes(
     """
     n_in, n_out = 1 + max(int(e.inputs.max()) for e in experiments), len(experiments[0].response)
     unknown = any(e.variance is None for e in experiments)
-    none = np.zeros((0, n_in)), np.zeros((0, n_out))
-    modes = TransferModes(
-        np.zeros(0),
-        np.zeros(0),
-        *none,
-        np.zeros((n_out, n_in, len(lines.rest))),
-        np.zeros((len(experiments) * lines.decays, 0, 2)),
-    )
+    n_ends = len(experiments) * lines.decays
+    none = (0, 2 + n_in + n_out), (n_out, n_in, len(lines.rest)), (n_ends, 0, 2)
+    modes = TransferModes(*map(np.zeros, none))
 
     def fitted(modes, experiments, smoothed=False):
         known = experiments
@@ -429,14 +409,13 @@ def fit_modes(
     if is_told:
         drift, experiments, (modes, here, known) = with_drifts(True)
     seen = are_seen(modes, known, lines, widest)
-    order = np.lexsort([modes.natural, ~seen])
-    modes = TransferModes(*(x[order] for x in modes[:4]), modes.rest, modes.ends[:, order]).balanced()
+    modes = modes.chosen(np.lexsort([modes.natural, ~seen])).balanced()
     log_likelihood, chi2, gradient, information = quadratic(modes, known, lines, drift, gain)
     n, k = seen.sum(), modes.table.shape[1]
     criterion = log_likelihood - for_each * (len(gradient) - len(modes.natural))
     score, information = without_rest(gradient, information, n * k)
     step = with_pseudo_inverse(information) @ score  # what drifts and sensitivities that differ move
-    modes = TransferModes(*(x[:n] for x in modes[:4]), modes.rest, modes.ends[:, :n])
+    modes = modes.chosen(slice(n))
     modes = modes.moved(np.pad(step, (0, modes.rest.size + modes.ends.size)))
     return TransferFit(modes, without_scale(information, modes), log_likelihood, chi2, criterion)
 

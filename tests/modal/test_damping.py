@@ -234,7 +234,7 @@ REFUSED = {
     '`shapes` must be real for density="NORMAL", got complex ones. Pass `observed.real..`': {
         "observed": TWO | {"shapes": 1j * PHI[:2]}
     },
-    r"`shape_sd` must be \(2, 5\) numbers that are not negative, got .* Pass one for each entry": {
+    r"`shape_sd` must have shape \(mode, channel\) = \(2, 5\), got \(2, 3\)": {
         "observed": TWO | {"shape_sd": PHI[:2, :3]}
     },
     "`modes` must be frequencies .m,., shapes .m, s. and perhaps damping ratios .m,., got 1, 2 and 2": {

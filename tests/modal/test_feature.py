@@ -340,7 +340,11 @@ def test_refusals():
         ),
         (dict(observed=[1.0, np.nan]), ValueError, "`frequencies` must be finite, got nan at index 1"),
         (dict(observed=["a"]), TypeError, "`frequencies` must be an array of numbers"),
-        (dict(observed=TWO | {"frequency_sd": [1.0]}), ValueError, "`frequency_sd` must be 2 numbers"),
+        (
+            dict(observed=TWO | {"frequency_sd": [1.0]}),
+            ValueError,
+            r"`frequency_sd` must have shape \(mode,\) = \(2,\)",
+        ),
         (dict(observed=TWO | {"shapes": [[1.0, 2.0]]}), ValueError, r"`shapes` must be \(2, channels\)"),
         (
             dict(observed=TWO | {"shapes": np.ones((2, 3))}),

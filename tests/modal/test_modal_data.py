@@ -73,8 +73,24 @@ VALUES = {
     "`frequency_sd` must be finite, got nan at index 2. Leave it out": (F, None, (), [0.1, 0.1, NAN]),
     "must be fractions from 0 to 1, got 1.2. Divide a percentage by": (F, None, (), None, [1.2, 0.5, 0.8]),
     "`damping_sd` must be at least 0, or NaN where it is not": (F, None, (), None, None, [0.1, -1.0, 0.1]),
-    r"`shape_sd` must have the shape of `shapes`, \(3": (F, SHAPES, NAMES, None, None, None, [0.1, 0.1, 0.1]),
-    "`shape_sd` must have the shape of `shapes`, None, got": (F, None, (), None, None, None, SHAPES),
+    r"`shape_sd` must have shape \(mode, channel\) = \(3, 2\), got \(3,\). Pass one for each channel": (
+        F,
+        SHAPES,
+        NAMES,
+        None,
+        None,
+        None,
+        [0.1, 0.1, 0.1],
+    ),
+    r"`shape_sd` must have shape \(mode, channel\) = \(3, 0\), got \(3, 2\)": (
+        F,
+        None,
+        (),
+        None,
+        None,
+        None,
+        SHAPES,
+    ),
 }
 TYPES = {
     "`frequencies` must be an array of numbers, got str. Pass Hz, or read files": ("modes.csv",),
@@ -104,7 +120,7 @@ SELECTIONS = {
     "`channels` must be among those of these modes .floor 1, roof., got 'attic'": {
         "channels": ["roof", "attic"]
     },
-    "`modes` must be indices from 0 to 2, got 3": {"modes": [0, 3]},
+    "`modes` must be an integer from 0 to 2, got 3": {"modes": [0, 3]},
 }
 
 

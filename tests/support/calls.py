@@ -272,11 +272,7 @@ MODAL = {
     "match_modes": Call(
         pmf.modal.match_modes,
         {"posterior": None, "name": None, "model": OF_MODES, "deviations": 3.0, "least_mac": 0.5},
-        instead={
-            "pymc_features.modal.feature.evaluate": work,
-            "pymc_features.modal.feature.match_of": str,
-            "pymc_features.modal.feature.values_at_start": work,
-        },
+        instead={"pymc_features.modal.feature.partners_of": work},
     ),
     "ModalFeature": Call(
         pmf.ModalFeature,

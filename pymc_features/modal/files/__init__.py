@@ -9,18 +9,12 @@ import h5py
 
 from pymc_features._checks import check_file, check_flag, check_texts
 from pymc_features.io.formats.libraries import UNIVERSAL
+from pymc_features.io.formats.matlab import load_variables
 from pymc_features.io.reading.recording import Opening
-from pymc_features.modal.data import ModalData, refusal
+from pymc_features.modal.data import ModalData, demand
+from pymc_features.modal.files.labelled import from_variables, is_oma, read_json_modes, read_oma, read_table
 from pymc_features.modal.files.quantities import check_names, modal_data
-from pymc_features.modal.files.table import read_table
 from pymc_features.modal.files.universal import read_universal
-from pymc_features.modal.files.variables import (
-    from_variables,
-    is_oma,
-    read_json_modes,
-    read_mat_modes,
-    read_oma,
-)
 from pymc_features.modal.files.write import write_modal
 
 __all__ = ["read_modal", "write_modal"]
@@ -106,7 +100,7 @@ def _read_file(path: Path, names: dict[str, str], channels) -> dict:
     """The modes in a file, whose kind is known by its first bytes."""
     opening = Opening.of(path)
     if opening.suffix == ".mat" or opening.head.startswith(b"MATLAB ") or h5py.is_hdf5(path):
-        return read_mat_modes(path, names)
+        return from_variables(load_variables(path), path.name, names)
     if opening.begins(UNIVERSAL):
         _refuse_names(names, f"{path.name}, a Universal File")
         return read_universal(path)
@@ -118,6 +112,5 @@ def _read_file(path: Path, names: dict[str, str], channels) -> dict:
 
 
 def _refuse_names(names: dict[str, str], what: str) -> None:
-    if names:
-        got = f"{', '.join(names)}: {what} says itself what its numbers are"
-        raise refusal("`names` must be left out", got, "Leave it out.")
+    got = f"{', '.join(names)}: {what} says itself what its numbers are"
+    demand(not names, "`names` must be left out", got, "Leave it out.")

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from pymc_features._checks import message, shown
+from pymc_features._checks import is_among, message, require, shown
 from pymc_features.io.reading.labels import BRACKETS, without_brackets
-from pymc_features.modal.data import COLLINEAR, ModalData, find_channels, listed, refusal, warn_modes
+from pymc_features.modal.data import COLLINEAR, ModalData, demand, find_channels, listed, refusal, warn_modes
 
 _LABELS = {
     "damping": ("damping ratios", "damping ratio", "damping", "zeta", "xi"),
@@ -19,8 +19,8 @@ _LABELS = {
     "channels": ("channels",),
 }
 #: Words that a label begins with -> quantity, several words before one.
-WORDS = {tuple(label.split()): name for name, labels in _LABELS.items() for label in labels}
-WORDS = dict(sorted(WORDS.items(), key=lambda item: -len(item[0])))
+_PAIRS = [(tuple(label.split()), name) for name, labels in _LABELS.items() for label in labels]
+WORDS = dict(sorted(_PAIRS, key=lambda item: -len(item[0])))
 #: Unit of a label, without blanks -> what the quantity is in this unit.
 UNITS = {
     "frequency": {"": "frequency", "hz": "frequency", "rad/s": "omega"},
@@ -76,15 +76,12 @@ def quantity_of(label: str, source: str) -> str | None:
 
 def check_names(names) -> dict[str, str]:
     """The mapping of quantities to what a source calls them."""
-    if names is None:
-        return {}
-    if not isinstance(names, Mapping):
+    if not isinstance(names, Mapping | None):
         raise TypeError(message("names", "a mapping of quantities to names in the file", shown(names)))
-    for key in names:
-        if key not in NAMES:
-            what = f"`names` must have keys among {', '.join(NAMES)}"
-            raise refusal(what, shown(key), "Its values are what the file calls them.")
-    return {key: str(value) for key, value in names.items()}
+    for key in names or {}:
+        what = f"`names` must have keys among {', '.join(NAMES)}"
+        demand(key in NAMES, what, shown(key), "Its values are what the file calls them.")
+    return {key: str(value) for key, value in (names or {}).items()}
 
 
 def labelled_quantities(labels: list[str], names: dict[str, str], source: str) -> dict[str, int]:
@@ -92,66 +89,60 @@ def labelled_quantities(labels: list[str], names: dict[str, str], source: str) -
     found = {}
     for quantity, name in names.items():
         places = [k for k, label in enumerate(labels) if name.strip() in (label, without_brackets(label))]
-        if len(places) != 1:
-            what = f"`names` must give names of {source} ({listed(labels)})"
-            got = f"{name!r} for {quantity}, which is there {len(places)} times"
-            raise refusal(what, got, "Pass one of these.")
+        got = f"{name!r} for {quantity}, which is there {len(places)} times"
+        what = f"`names` must give names of {source} ({listed(labels)})"
+        demand(len(places) == 1, what, got, "Pass one of these.")
         found[quantity] = places[0]
     for place, label in enumerate(labels):
         quantity = None if place in found.values() else quantity_of(label, source)
-        if quantity is None or quantity in names:
-            continue
-        if quantity in found:
-            got = f"{labels[found[quantity]]!r} and {label!r}"
-            raise refusal(f"{source}: {quantity} must be there once", got, "Leave out one of them.")
-        found[quantity] = place
-    if not HERTZ.keys() & found.keys():
-        advice = 'Rename one, or pass for example names={"frequency": "..."}.'
-        raise refusal(f"{source} must have {FREQUENCY_LABELS}", listed(labels), advice)
+        if quantity is not None and quantity not in names:
+            first = found.setdefault(quantity, place)
+            what, got = f"{source}: {quantity} must be there once", f"{labels[first]!r} and {label!r}"
+            demand(first == place, what, got, "Leave out one of them.")
+    advice = 'Rename one, or pass for example names={"frequency": "..."}.'
+    demand(HERTZ.keys() & found.keys(), f"{source} must have {FREQUENCY_LABELS}", listed(labels), advice)
     return found
 
 
 def mode_values(found: dict[str, np.ndarray], source: str) -> dict[str, np.ndarray]:
     """Frequencies [Hz], fractions of critical damping and their standard deviations, as of `ModalData`."""
-    values = {
-        name: _vector(found[name], name, source) for name in found if name.removesuffix("_sd") in PER_MODE
-    }
-    if len({array.size for array in values.values()}) > 1:
-        sizes = ", ".join(f"{name} {array.size}" for name, array in values.items())
-        what = f"{source}: all must have one number for each mode"
-        raise refusal(what, sizes, "Complete or cut them.")
+    values = {}
+    for name in (name for name in found if name.removesuffix("_sd") in PER_MODE):
+        otherwise = f"{source}: {name} must hold real numbers, got {type(found[name]).__name__}."
+        values[name] = np.atleast_1d(np.squeeze(numbers_in(found[name], "iuf", otherwise))).astype(float)
+        what, advice = "one number for each mode", "Pass `names` if another variable holds it."
+        is_row = values[name].ndim == 1 and values[name].size
+        demand(is_row, f"{source}: {name} must have {what}", f"shape {values[name].shape}", advice)
+    sizes = ", ".join(f"{name} {array.size}" for name, array in values.items())
+    same = len({array.size for array in values.values()}) < 2
+    demand(same, f"{source}: all must have one number for each mode", sizes, "Complete or cut them.")
     for name in values:
         base = name.removesuffix("_sd")
-        if base not in values:
-            what = f"{source}: {name} must stand beside {base}"
-            raise refusal(what, ", ".join(values), "Name both in one unit.")
-    if FRACTIONS.keys() <= values.keys():
-        what = f"{source}: damping must be there once"
-        raise refusal(what, "fractions and percent", "Leave out one of them.")
-    stated, spreads = {}, []
+        what, advice = f"{source}: {name} must stand beside {base}", "Name both in one unit."
+        demand(base in values, what, ", ".join(values), advice)
+    once = not FRACTIONS.keys() <= values.keys()
+    demand(once, f"{source}: damping must be there once", "fractions and percent", "Leave out one of them.")
+    numbers, stated = {}, {}
     for name, (in_hertz, slope) in HERTZ.items():
         if name in values:
-            numbers = values[name]
-            if name != "frequency" and not (numbers > 0.0).all():
-                mode = int(np.argmin(numbers > 0.0))
-                got = f"{numbers[mode]} of mode {mode}"
-                raise refusal(f"{source}: {name} must be positive", got, "Leave the mode out.")
-            stated[name] = in_hertz(numbers)
+            mode = int(np.argmin(values[name] > 0.0))
+            what, got = f"{source}: {name} must be positive", f"{values[name][mode]} of mode {mode}"
+            demand(name == "frequency" or values[name][mode] > 0.0, what, got, "Leave the mode out.")
+            stated[name] = in_hertz(values[name])
             if f"{name}_sd" in values:
-                spreads.append(values[f"{name}_sd"] / slope(stated[name]))
+                numbers.setdefault("frequency_sd", values[f"{name}_sd"] / slope(stated[name]))
     (first, frequencies), *others = stated.items()
     for name, again in others:
-        if not np.allclose(again, frequencies, rtol=0.01, atol=0.0):
-            same = np.allclose(TURN * again, frequencies, rtol=0.01, atol=0.0)
-            advice = f"Is {first} in rad/s? Name it omega." if same else "Leave out the wrong one."
-            got = f"{frequencies[0]:.4g} and {again[0]:.4g} Hz of the first mode"
-            raise refusal(f"{source}: {first} and {name} must agree", got, advice)
-    numbers = {"frequencies": frequencies, "frequency_sd": spreads[0] if spreads else None}
+        same = np.allclose(TURN * again, frequencies, rtol=0.01, atol=0.0)
+        advice = f"Is {first} in rad/s? Name it omega." if same else "Leave out the wrong one."
+        got = f"{frequencies[0]:.4g} and {again[0]:.4g} Hz of the first mode"
+        agree = np.allclose(again, frequencies, rtol=0.01, atol=0.0)
+        demand(agree, f"{source}: {first} and {name} must agree", got, advice)
     for name, factor in FRACTIONS.items():
         for stem, key in ((name, "damping_ratios"), (f"{name}_sd", "damping_sd")):
             if stem in values:
                 numbers[key] = factor * values[stem]
-    return numbers
+    return numbers | {"frequencies": frequencies}
 
 
 def numbers_in(values, kinds: str, otherwise: str) -> np.ndarray:
@@ -164,16 +155,6 @@ def numbers_in(values, kinds: str, otherwise: str) -> np.ndarray:
     except (TypeError, ValueError, OverflowError):
         pass
     raise ValueError(otherwise)
-
-
-def _vector(values, name: str, source: str) -> np.ndarray:
-    """Numbers (m,) of a row, a column or a single number."""
-    otherwise = f"{source}: {name} must hold real numbers, got {type(values).__name__}."
-    array = np.atleast_1d(np.squeeze(numbers_in(values, "iuf", otherwise))).astype(np.float64)
-    if array.ndim != 1 or array.size == 0:
-        advice = "Pass `names` if another variable holds it."
-        raise refusal(f"{source}: {name} must have one number for each mode", f"shape {array.shape}", advice)
-    return array
 
 
 # ---- what a reader found, arguments of `ModalData`, as the caller asks for it ----
@@ -195,7 +176,15 @@ def modal_data(source: str, found: dict, channels, real: bool) -> ModalData:
         raise type(error)(f"{source}: {error}") from None
     for text in _implausible(modal):
         warn_modes(f"{source}: {text}")
-    _refuse_copies(modal, source)
+    rows = {}  # one that is there twice, to the last digit, was copied by mistake
+    for mode, shape in enumerate([] if modal.shapes is None or modal.labels is not None else modal.shapes):
+        frequency = modal.frequencies[mode]
+        first = rows.setdefault((frequency, shape.tobytes()), mode)
+        require(
+            first == mode or np.count_nonzero(~np.isnan(shape)) < 2,
+            f"{source}: each mode must be there once, got {first + 1} and {mode + 1} of {frequency:.4g} Hz "
+            "are identical. Leave one out, or name the mode of each identification in a column `mode`.",
+        )
     if not real or not modal.is_complex:
         return modal
     collinearity = modal.phase_collinearity
@@ -213,54 +202,41 @@ def modal_data(source: str, found: dict, channels, real: bool) -> ModalData:
 def _named(found: dict, channels) -> tuple[list[str], list[int]]:
     """Names of the channels, and their columns in the source."""
     if found.get("shapes") is None:
-        if channels is not None:
-            what = "`channels` must be left out"
-            raise refusal(what, "some for frequencies without shapes", "Pass `names` with the shapes.")
+        got, advice = "some for frequencies without shapes", "Pass `names` with the shapes."
+        demand(channels is None, "`channels` must be left out", got, advice)
         return [], []
-    count = found["shapes"].shape[1]
-    own = found.get("channels")
+    count, own = found["shapes"].shape[1], found.get("channels")
     own = own and [name.strip() for name in own]
-    if own is not None and len(own) != count:
-        what = f"channels must name the {count} rows of shapes"
-        raise refusal(what, f"{len(own)} names", "Correct one of them.")
-    if isinstance(channels, Mapping):
-        places = {name: k for k, name in enumerate(own or [])}
-        return [str(name) for name in channels], [_column(key, places, count) for key in channels.values()]
+    what, right = f"channels must name the {count} rows of shapes", own is None or len(own) == count
+    demand(right, what, f"{len(own or [])} names", "Correct one of them.")
     if channels is None:
         return own or [f"channel {k}" for k in range(count)], list(range(count))
-    if isinstance(channels, str) or not isinstance(channels, Sequence | np.ndarray):
+    if isinstance(channels, str) or not isinstance(channels, Sequence | np.ndarray | Mapping):
         what = "`channels` must be a sequence of names, or a mapping of names to those in the source"
         raise TypeError(f"{what}, got {channels!r}.")
     names = [str(name).strip() for name in channels]
+    if isinstance(channels, Mapping):
+        known = {name: k for k, name in enumerate(own or [])} | {k: k for k in range(count)}
+        keys = [key.strip() if isinstance(key, str) else key for key in channels.values()]
+        is_known = [is_among(key, known) for key in keys]
+        what = listed(own) if own else f"0 to {count - 1}, without names"
+        what, got = (
+            f"`channels` must be among those of the source ({what})",
+            repr([*keys, None][[*is_known, False].index(False)]),
+        )
+        demand(all(is_known), what, got, "Pass the name or the number (from 0) of one.")
+        return [str(name) for name in channels], [known[key] for key in keys]
     if own is not None:
         return names, find_channels(names, own, "the source")
-    if len(names) != count:
-        advice = "Pass a mapping of names to their numbers (from 0) to take some."
-        raise refusal(
-            f"`channels` must name all {count} channels of shapes without names", len(names), advice
-        )
+    advice = "Pass a mapping of names to their numbers (from 0) to take some."
+    what = f"`channels` must name all {count} channels of shapes without names"
+    demand(len(names) == count, what, len(names), advice)
     return names, list(range(count))
-
-
-def _column(key, places: dict[str, int], count: int) -> int:
-    """The place of a channel, by its name or number in the source."""
-    if isinstance(key, str) and key.strip() in places:
-        return places[key.strip()]
-    if isinstance(key, int | np.integer) and not isinstance(key, bool) and 0 <= key < count:
-        return int(key)
-    what = listed(list(places)) if places else f"0 to {count - 1}, without names"
-    advice = "Pass the name or the number (from 0) of one."
-    raise refusal(f"`channels` must be among those of the source ({what})", repr(key), advice)
 
 
 def _implausible(modal: ModalData) -> Iterator[str]:
     """What to say of numbers in what is probably another unit."""
-    frequencies, ratios, sd, shapes = (
-        modal.frequencies,
-        modal.damping_ratios,
-        modal.frequency_sd,
-        modal.shapes,
-    )
+    f, ratios, sd, shapes = modal.frequencies, modal.damping_ratios, modal.frequency_sd, modal.shapes
     if ratios is not None and (ratios > DAMPED).any():
         yield (
             f"a damping ratio of {np.nanmax(ratios):.3g} of critical is implausible. "
@@ -271,27 +247,12 @@ def _implausible(modal: ModalData) -> Iterator[str]:
         alone = ALONE if shapes.shape[1] > 3 else 10.0 * ALONE  # of three two may be near a node
         for mode in np.flatnonzero(sizes[:, -1] > alone * sizes[:, -2]):
             yield (
-                f"an entry of {sizes[mode, -1]:.3g} in the shape of {frequencies[mode]:.4g} Hz is of another "
+                f"an entry of {sizes[mode, -1]:.3g} in the shape of {f[mode]:.4g} Hz is of another "
                 f"size than the others, up to {sizes[mode, -2]:.3g}. Is its exponent spoilt?"
             )
-    if sd is not None and (sd > SPREAD * frequencies).any():
-        mode = int(np.argmax(sd / frequencies))
+    if sd is not None and (sd > SPREAD * f).any():
+        mode = int(np.argmax(sd / f))
         yield (
-            f"a standard deviation of {sd[mode]:.3g} Hz for a frequency of {frequencies[mode]:.4g} Hz is "
+            f"a standard deviation of {sd[mode]:.3g} Hz for a frequency of {f[mode]:.4g} Hz is "
             "implausible. State standard deviations in the unit of the frequencies, not in percent."
         )
-
-
-def _refuse_copies(modal: ModalData, source: str) -> None:
-    """A mode that is there twice, to the last digit, was copied by mistake."""
-    if modal.shapes is None or modal.labels is not None:
-        return
-    rows = {}
-    for mode, (frequency, shape) in enumerate(zip(modal.frequencies, modal.shapes, strict=True)):
-        first = rows.setdefault((frequency, shape.tobytes()), mode)
-        if first != mode and np.count_nonzero(~np.isnan(shape)) > 1:
-            got = f"{first + 1} and {mode + 1} of {frequency:.4g} Hz are identical"
-            raise ValueError(
-                f"{source}: each mode must be there once, {got}. Leave one out, or name the mode of each "
-                "identification in a column `mode`."
-            )

@@ -6,7 +6,7 @@ from os import PathLike
 
 import numpy as np
 
-from pymc_features._checks import check_path, message
+from pymc_features._checks import check_path, message, require
 from pymc_features.io.formats.libraries import AXES
 from pymc_features.modal.data import ModalData
 
@@ -46,8 +46,8 @@ def write_modal(modal: ModalData, path: str | PathLike) -> None:
         raise TypeError(message("modal", "a ModalData", type(modal).__name__, "See `read_modal`."))
     writers = {".csv": _write_csv, ".txt": _write_csv, ".json": _write_json}
     writers |= {".uff": _write_universal, ".unv": _write_universal}
-    if path.suffix.lower() not in writers:
-        raise ValueError(message("path", f"a file ending in {', '.join(writers)}", path.name))
+    what = message("path", f"a file ending in {', '.join(writers)}", path.name)
+    require(path.suffix.lower() in writers, what)
     writers[path.suffix.lower()](modal, path)
 
 
@@ -78,8 +78,8 @@ def _write_csv(modal: ModalData, path) -> None:
 
 
 def _write_json(modal: ModalData, path) -> None:
-    if modal.labels is not None:
-        raise ValueError(message("path", "a table (.csv) for modes with labels", path.name))
+    what = message("path", "a table (.csv) for modes with labels", path.name)
+    require(modal.labels is None, what)
     arrays = _per_mode(modal)
     if modal.shapes is not None:
         arrays["shapes"] = modal.shapes.real.T
@@ -96,33 +96,31 @@ def _write_json(modal: ModalData, path) -> None:
 def _write_universal(modal: ModalData, path) -> None:
     """Data sets 55: translations of each node that was measured in a mode, zero where a direction was not."""
     places = [PLACE.fullmatch(name) for name in modal.channels]
-    if not places or None in places:
-        what = "with channels named by node and direction, as 12Z, for a Universal File"
-        raise ValueError(message("modal", what, ", ".join(modal.channels) or "none", "Write CSV."))
+    what = "with channels named by node and direction, as 12Z, for a Universal File"
+    got = ", ".join(modal.channels) or "none"
+    require(places and None not in places, message("modal", what, got, "Write CSV."))
     nodes, columns = np.unique([int(place[1]) for place in places], return_inverse=True)
     entries = np.full((len(modal), len(nodes), 3), np.nan, dtype=modal.shapes.dtype)
     entries[:, columns, [AXES.index(place[2]) for place in places]] = modal.shapes
     ratios = np.zeros(len(modal)) if modal.damping_ratios is None else np.nan_to_num(modal.damping_ratios)
     kind, values = (3, 5) if modal.is_complex else (2, 2)
     lines = []
-    for number, (frequency, damping, shape) in enumerate(
-        zip(modal.frequencies, ratios, entries, strict=True), 1
-    ):
+
+    def add(form: str, *numbers) -> None:
+        lines.append("".join(f"{number:{form}}" for number in numbers))
+
+    rows = enumerate(zip(modal.frequencies, ratios, entries, strict=True), 1)
+    for number, (frequency, damping, shape) in rows:
         root = 2.0 * np.pi * frequency * complex(-damping, np.sqrt(1.0 - damping**2))
         of_root = [root.real, root.imag, 0.0, 0.0, 0.0, 0.0]
         reals = of_root if modal.is_complex else [frequency, 1.0, damping, 0.0]
-        lines += ["    -1", "    55", *["NONE"] * 5, _wholes(1, kind, 2, 8, values, 3)]
-        lines += [_wholes(2, len(reals), 0, number), _reals(reals)]
+        lines += ["    -1", "    55", *["NONE"] * 5]
+        add("10d", 1, kind, 2, 8, values, 3)
+        add("10d", 2, len(reals), 0, number)
+        add("13.5E", *reals)
         for node, row in zip(nodes, shape, strict=True):
             if not np.isnan(row).all():
-                lines += [_wholes(node), _reals(np.nan_to_num(row).view(np.float64))]
+                add("10d", node)
+                add("13.5E", *np.nan_to_num(row).view(np.float64))
         lines.append("    -1")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _wholes(*numbers: int) -> str:
-    return "".join(f"{number:10d}" for number in numbers)
-
-
-def _reals(numbers) -> str:
-    return "".join(f"{number:13.5E}" for number in numbers)
