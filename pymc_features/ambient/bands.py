@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from pytensor.gradient import disconnected_type
 from pytensor.graph.basic import Apply
 
-from pymc_features._checks import as_numbers, check_finite, message
+from pymc_features._checks import as_numbers, check_finite, message, require
 from pymc_features.ops.arrays import ArrayOp
 from pymc_features.ops.batches import take_batches
 from pymc_features.ops.numba_dispatch import run_in_python
@@ -56,29 +56,24 @@ def checked_bands(bands: ArrayLike, n_samples: int, dt: float, integrals: int) -
     limits = as_numbers(bands, "bands", "Pass pairs of frequencies in Hz.")
     if limits.ndim == 1:
         limits = limits[None]
-    if limits.ndim != 2 or limits.shape[1] != 2 or not len(limits):
-        raise ValueError(message("bands", "pairs of frequencies (band, 2)", limits.shape))
+    are_pairs = limits.ndim == 2 and limits.shape[1] == 2 and len(limits)
+    require(are_pairs, message("bands", "pairs of frequencies (band, 2)", limits.shape))
     check_finite(limits, "bands")
     limits = limits[np.argsort(limits[:, 0])].astype(np.float64)
     nyquist, duration = 0.5 / dt, n_samples * dt
     low, high = limits.T
-    if np.any(low <= 0.0) or np.any(high >= nyquist) or np.any(low >= high):
-        expected = f"ascending pairs between 0 and {nyquist:.4g} Hz, half the sampling rate"
-        raise ValueError(message("bands", expected, limits.tolist()))
-    if np.any(low[1:] <= high[:-1]):
-        raise ValueError(
-            message("bands", "apart", limits.tolist(), "A frequency counts once: join bands that overlap.")
-        )
+    expected = f"ascending pairs between 0 and {nyquist:.4g} Hz, half the sampling rate"
+    are_inside = np.all((low > 0.0) & (high < nyquist) & (low < high))
+    require(are_inside, message("bands", expected, limits.tolist()))
+    advice = "A frequency counts once: join bands that overlap."
+    require(np.all(low[1:] > high[:-1]), message("bands", "apart", limits.tolist(), advice))
     bins, weights, starts = [], [], [0]
     for first, last in limits:
         own = np.arange(int(np.ceil(first * duration)), int(np.floor(last * duration)) + 1)
-        if own.size < FEWEST:
-            advice = (
-                f"The frequencies of a record of {duration:.4g} s are {1.0 / duration:.3g} Hz apart: "
-                "take a longer record, or a wider band."
-            )
-            got = f"{own.size} between {first:g} and {last:g} Hz"
-            raise ValueError(message("bands", f"bands with {FEWEST} frequencies of the record", got, advice))
+        apart = f"The frequencies of a record of {duration:.4g} s are {1.0 / duration:.3g} Hz apart:"
+        advice = f"{apart} take a longer record, or a wider band."
+        what, got = f"bands with {FEWEST} frequencies", f"{own.size} between {first:g} and {last:g} Hz"
+        require(own.size >= FEWEST, message("bands", f"{what} of the record", got, advice))
         fill = -own.size % MULTIPLE
         bins += [own, np.full(fill, own[-1])]
         weights += [np.ones(own.size), np.zeros(fill)]
@@ -101,59 +96,40 @@ class BandTransform(ArrayOp):
     """Scaled Fourier transforms (..., s, 2, k) of histories (..., s, t) at the frequencies of all bands.
 
     F_k = sqrt(2 dt / t) sum_j y_j exp(-2 pi i j k / t), so that E|F_k|^2 is the one-sided spectral density.
+    With `back` the transpose: histories with these transforms, times dt.
     """
 
+    __props__ = ("back",)
     n_connected = 1
 
-    def make_node(self, histories, bins, weights, dt):
-        histories, weights, dt = (
-            pt.as_tensor_variable(x).astype("float64") for x in (histories, weights, dt)
-        )
-        bins = pt.as_tensor_variable(bins).astype("int64")
-        shape = (*histories.type.shape[:-1], 2, bins.type.shape[0])
-        return Apply(self, [histories, bins, weights, dt], [pt.tensor(dtype="float64", shape=shape)])
+    def __init__(self, back: bool = False):
+        self.back = back
 
-    def run(self, inputs) -> tuple[np.ndarray]:
-        """Transforms of arrays."""
-        return (band_transform(*inputs),)
-
-    def infer_shape(self, node, shapes):
-        return [(*shapes[0][:-1], 2, shapes[1][0])]
-
-    def pullback(self, inputs, outputs, cotangents):
-        """By `BandHistories`, its transpose."""
-        histories, *lines = inputs
-        slope = BandHistories()(cotangents[0], *lines, histories.shape[-1])
-        return [slope, *(disconnected_type() for _ in lines)]
-
-
-class BandHistories(ArrayOp):
-    """Transpose of `BandTransform`: histories (..., s, t) with these transforms, times dt."""
-
-    n_connected = 1
-
-    def make_node(self, spectra, bins, weights, dt, n_samples):
-        spectra, weights, dt = (pt.as_tensor_variable(x).astype("float64") for x in (spectra, weights, dt))
+    def make_node(self, values, bins, weights, dt, n_samples):
+        values, weights, dt = (pt.as_tensor_variable(x).astype("float64") for x in (values, weights, dt))
         bins, n_samples = (pt.as_tensor_variable(x).astype("int64") for x in (bins, n_samples))
-        shape = (*spectra.type.shape[:-2], None)
-        inputs = [spectra, bins, weights, dt, n_samples]
+        shape = (
+            (*values.type.shape[:-2], None) if self.back else (*values.type.shape[:-1], 2, *bins.type.shape)
+        )
+        inputs = [values, bins, weights, dt, n_samples]
         return Apply(self, inputs, [pt.tensor(dtype="float64", shape=shape)])
 
     def run(self, inputs) -> tuple[np.ndarray]:
-        """Histories from arrays."""
-        return (band_histories(*inputs),)
+        """Results for arrays."""
+        return (band_histories(*inputs) if self.back else band_transform(*inputs[:-1]),)
 
     def infer_shape(self, node, shapes):
-        return [(*shapes[0][:-2], node.inputs[-1])]
+        rows = shapes[0][: -2 if self.back else -1]
+        return [(*rows, node.inputs[-1]) if self.back else (*rows, 2, shapes[1][0])]
 
     def pullback(self, inputs, outputs, cotangents):
-        """By `BandTransform`."""
-        slope = BandTransform()(cotangents[0], *inputs[1:4])
+        """By the transpose."""
+        slope = BandTransform(not self.back)(cotangents[0], *inputs[1:])
         return [slope, *(disconnected_type() for _ in inputs[1:])]
 
 
-take_batches(BandTransform, BandHistories, first=1)
-run_in_python(BandTransform, BandHistories)
+take_batches(BandTransform, first=1)
+run_in_python(BandTransform)
 
 
 def band_transform(histories, bins, weights, dt) -> np.ndarray:

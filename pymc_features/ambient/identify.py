@@ -10,7 +10,15 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy.fft import next_fast_len
 
-from pymc_features._checks import as_list, check_choice, check_integer, check_positive, message, shown
+from pymc_features._checks import (
+    as_list,
+    check_choice,
+    check_integer,
+    check_positive,
+    message,
+    require,
+    shown,
+)
 from pymc_features.ambient.bands import band_transform, checked_bands, transfer_functions
 from pymc_features.ambient.free_modes import BandData, FreeModes, Posterior, best_posterior, noise_logp
 from pymc_features.ambient.known_input import fitted_bands, rows_of_fit, split_channels
@@ -117,63 +125,41 @@ def identify_modes(
     array([ True,  True])
     """
     check_choice(quantity, "quantity", list(MEASURED))
+    found, of_inputs = [], {}  # limits of each band, and rows of its modes
     if excitation is not None:
-        return with_excitation(channels, excitation, bands, n_modes, quantity)
-    channels, tones = steady(channels)
-    if bands is None:
-        bands = propose_bands(channels)
-    parts = transformed(channels, bands, quantity)
-    for tone in tones:
-        if any(low < tone < high for low, high in (data.limits for data in parts)):
-            tell(
-                f"the channels move at {tone:.4g} Hz as by a machine at constant speed, no wider than a "
-                "single frequency looks: it is no mode, and is taken off."
-            )
-    found = []
-    for data, number in zip(parts, checked_numbers(n_modes, len(parts)), strict=True):
-        posterior = of_band(data, number)
-        own = [] if posterior is None else modes_of(data, posterior, is_free=number is None)
-        if not own:
-            tell_of_empty(data.limits)
-        found += own
-    return identified(found, channels)
-
-
-def tell_of_empty(limits) -> None:
-    """Warn of a band without a mode."""
-    tell(
-        f"the band {limits[0]:.4g} to {limits[1]:.4g} Hz has no mode: it is noise, or what comes in from "
-        "beside it. Leave it out."
-    )
-
-
-def with_excitation(channels, excitation, bands, n_modes, quantity) -> ModalData:
-    """Modes from channels and what excited them."""
-    channels, excitation = split_channels(channels, excitation)
-    limits = np.atleast_2d(propose_bands(channels) if bands is None else bands)
-    found = []
-    numbers = checked_numbers(n_modes, len(limits))
-    for band, fit in fitted_bands(channels, excitation, limits, numbers, MEASURED[quantity]):
-        rows = rows_of_fit(fit)
+        channels, excitation = split_channels(channels, excitation)
+        limits = np.atleast_2d(propose_bands(channels) if bands is None else bands)
+        numbers = checked_numbers(n_modes, len(limits))
+        fits = fitted_bands(channels, excitation, limits, numbers, MEASURED[quantity])
+        found = [(band, rows_of_fit(fit)) for band, fit in fits]
+    else:
+        values, tones = without_tones(whole_values(channels), sampling_step(channels))
+        channels = channels.copy(data=values)
+        parts = transformed(channels, propose_bands(channels) if bands is None else bands, quantity)
+        for tone in tones:
+            if any(low < tone < high for low, high in (data.limits for data in parts)):
+                tell(
+                    f"the channels move at {tone:.4g} Hz as by a machine at constant speed, no wider than a "
+                    "single frequency looks: it is no mode, and is taken off."
+                )
+        for data, number in zip(parts, checked_numbers(n_modes, len(parts)), strict=True):
+            posterior = of_band(data, number)
+            rows = [] if posterior is None else modes_of(data, posterior, is_free=number is None)
+            found.append((data.limits, rows))
+    for (low, high), rows in found:
         if not rows:
-            tell_of_empty(band)
-        found += rows
-    return identified(found, channels, excitation)
-
-
-def identified(found: list[tuple], channels, excitation=None) -> ModalData:
-    """The modes that all bands have."""
-    if not found:
-        advice = "Look at the spectra, and pass bands around their peaks."
-        raise ValueError(message("bands", "bands with modes", "none with any", advice))
-    found = each_once(found)
-    natural, ratios, shapes, frequency_sd, damping_sd, shape_sd, *rest = map(
-        np.array, zip(*found, strict=True)
-    )
-    of_inputs = {}
+            tell(
+                f"the band {low:.4g} to {high:.4g} Hz has no mode: it is noise, or what comes in from beside "
+                "it. Leave it out."
+            )
+    rows = each_once([row for _, rows in found for row in rows])
+    advice = "Look at the spectra, and pass bands around their peaks."
+    require(rows, message("bands", "bands with modes", "none with any", advice))
+    columns = map(np.array, zip(*rows, strict=True))
+    natural, ratios, shapes, frequency_sd, damping_sd, shape_sd, *of_excitation = columns
     if excitation is not None:
         names = [str(name) for name in excitation["sensor"].values]
-        of_inputs = {"inputs": names, "participation": rest[0], "participation_sd": rest[1]}
+        of_inputs = {"inputs": names, "participation": of_excitation[0], "participation_sd": of_excitation[1]}
     return ModalData(
         natural,
         shapes,
@@ -185,12 +171,6 @@ def identified(found: list[tuple], channels, excitation=None) -> ModalData:
         name="identified modes",
         **of_inputs,
     )
-
-
-def steady(channels: xr.DataArray) -> tuple[xr.DataArray, np.ndarray]:
-    """Channels without sines, and the frequencies of these [Hz]."""
-    values, tones = without_tones(whole_values(channels), sampling_step(channels))
-    return channels.copy(data=values), tones
 
 
 def each_once(found: list[tuple]) -> list[tuple]:
@@ -231,8 +211,8 @@ def checked_numbers(n_modes, n_bands: int) -> list[int | None]:
     listed = as_list(n_modes)
     if listed is None:
         return [check_integer(n_modes, "n_modes", least=1)] * n_bands
-    if len(listed) != n_bands:
-        raise ValueError(message("n_modes", f"one number for each of the {n_bands} bands", shown(n_modes)))
+    what = f"one number for each of the {n_bands} bands"
+    require(len(listed) == n_bands, message("n_modes", what, shown(n_modes)))
     return [check_integer(number, "n_modes", least=1) for number in listed]
 
 
@@ -334,27 +314,16 @@ def propose_bands(channels: xr.DataArray, *, highest: float | None = None) -> np
     inside = (f > 0.0) & (f <= highest)
     f, level = f[inside], 10.0 * np.log10(np.maximum(first[inside], np.finfo(float).tiny))
     peaks, _ = signal.find_peaks(level, prominence=PROMINENCE)
-    if not peaks.size:
-        raise ValueError(
-            message(
-                "channels",
-                "of a structure that moves in its modes",
-                "spectra without a peak",
-                "Pass `bands`.",
-            )
-        )
+    what, advice = "of a structure that moves in its modes", "Pass `bands`."
+    require(peaks.size, message("channels", what, "spectra without a peak", advice))
     half = np.maximum(HALF_WIDTH * f[peaks], FEWEST * (f[1] - f[0]))
     bands = np.column_stack([np.maximum(f[peaks] - half, 0.5 * f[0]), np.minimum(f[peaks] + half, 0.49 / dt)])
     valley = int(level[: peaks[0]].argmin())
     if np.interp(bands[0, 0], f, level) > level[valley] + PROMINENCE:  # in the drift
         bands[0, 0] = f[valley]
-    joined = [bands[0]]
-    for low, high in bands[1:]:
-        if low <= joined[-1][1]:
-            joined[-1] = np.array([joined[-1][0], high])
-        else:
-            joined.append(np.array([low, high]))
-    return np.array(joined)
+    begins = np.append(True, bands[1:, 0] > np.maximum.accumulate(bands[:-1, 1]))
+    ends = np.append(np.flatnonzero(begins)[1:], len(bands)) - 1
+    return np.column_stack([bands[begins, 0], bands[ends, 1]])
 
 
 # --- machines at constant speed: sines in a record, found in its spectrum and taken off -------------------

@@ -26,6 +26,7 @@ from pymc_features._checks import (
     check_name,
     check_step,
     message,
+    require,
     shown,
     warn_caller,
 )
@@ -55,6 +56,7 @@ KNOWN = dict(
 PARTS = "(m),(m),(m,s),(b,m,r,c),(b,s)"
 LINES = "bins", "weights", "gains", "starts", "dt"  # of `Bands`
 ADVICE = "Pass a spectral density."
+tell = partial(warn_caller, category=AmbientWarning)
 FEWEST_IN_PEAK = 4.0  # frequencies of the record in the half-power width of a mode
 
 
@@ -139,7 +141,11 @@ def spectral_response(
         found = modes(structure, n_modes)
         patterns = found.shapes
         if not isinstance(forces, str):
-            patterns = pt.dot(patterns, checked_patterns(forces, structure.n_dof))
+            given, n = as_numbers(forces, "forces", 'Pass "dofs", "modes", or a matrix.'), structure.n_dof
+            is_matrix, what = given.ndim == 2 and len(given) == n and given.size, "a row for each degree of"
+            require(is_matrix, message("forces", f"({n}, force), {what} freedom", given.shape))
+            check_finite(given, "forces")
+            patterns = pt.dot(patterns, given)
         picked, combined = picked_outputs(structure, sensors, outputs)
         shapes = found.shapes[:, picked]
         if combined is not None:
@@ -157,23 +163,14 @@ def spectral_response(
     )
 
 
-def checked_patterns(forces, n: int) -> np.ndarray:
-    """Patterns of forces (n, force)."""
-    patterns = as_numbers(forces, "forces", 'Pass "dofs", "modes", or a matrix.').astype(np.float64)
-    if patterns.ndim != 2 or len(patterns) != n or not patterns.size:
-        raise ValueError(message("forces", f"({n}, force), a row for each degree of freedom", patterns.shape))
-    check_finite(patterns, "forces")
-    return patterns
-
-
 def in_bands(value: TensorVariable, name: str, n_bands: int, columns: int | None, what: str):
     """A tensor (b, columns) from one number, one for each band, or one for each band and column."""
     expected = f"one value, one for each of the {n_bands} bands, or (band, {what})"
     shape = value.type.shape
-    if value.ndim > 2 or (value.ndim and shape[0] not in (None, 1, n_bands)):
-        raise ValueError(message(name, expected, shape))
-    if value.ndim == 2 and columns is not None and shape[1] not in (None, 1, columns):
-        raise ValueError(message(name, expected, shape, f"There are {columns} columns."))
+    fits = value.ndim < 3 and (not value.ndim or shape[0] in (None, 1, n_bands))
+    require(fits, message(name, expected, shape))
+    fits = value.ndim < 2 or columns is None or shape[1] in (None, 1, columns)
+    require(fits, message(name, expected, shape, f"There are {columns} columns."))
     if value.ndim < 2:
         value = value[..., None]
     return pt.broadcast_to(value, (n_bands, columns))
@@ -260,7 +257,7 @@ def ambient_logprob(op, values, rng, *inputs, **kwargs):
     """Log-likelihood of the transforms in all bands."""
     [value] = values
     natural, ratios, shapes, factor, error, mean, bins, weights, gains, starts, dt = inputs
-    spectra = BandTransform()(value - mean, bins, weights, dt)
+    spectra = BandTransform()(value - mean, bins, weights, dt, value.shape[-1])
     frequencies = bins / (dt * value.shape[-1])
     logp = SpectralLogp(of_spectra=not isinstance(mean, Constant))
     return logp(natural, ratios, shapes, factor, error, spectra, frequencies, weights, gains, starts)
@@ -347,10 +344,13 @@ class AmbientResponse(Continuous):
         check_name(name)
         if not isinstance(response, SpectralResponse):
             raise TypeError(message("response", "what `ambient.spectral_response` returned", shown(response)))
-        data = checked_channels(by_labels(observed, dims))
-        if (s := response.shapes.type.shape[1]) not in (None, len(data)):
-            advice = "Name the degrees of freedom of the channels by `sensors`."
-            raise ValueError(message("observed", f"({s}, time), a row for each sensor", data.shape, advice))
+        data = as_numbers(by_labels(observed, dims), "observed", "Pass channels (sensor, time).")
+        require(data.ndim == 2 and data.size, message("observed", "channels (sensor, time)", data.shape))
+        advice = "Cut the record where there are gaps, and pass the parts as variables."
+        check_finite(data, "observed", advice)
+        s, advice = response.shapes.type.shape[1], "Name the degrees of freedom of the channels by `sensors`."
+        what = message("observed", f"({s}, time), a row for each sensor", data.shape, advice)
+        require(s in (None, len(data)), what)
         if excitation is not None:
             mu = followed(response, excitation, mu, data.shape[1], dt)
         mean = np.zeros(data.shape) if mu is None else as_tensor(mu, "mu", "Pass what `response` returned.")
@@ -387,32 +387,24 @@ class AmbientResponse(Continuous):
             mu = np.zeros((s, n_samples))
         mean = as_tensor(mu, "mu", "Pass what `response` returned.")
         wanted, shape = (s, n_samples), mean.type.shape
-        if len(shape) != 2 or any(n not in (None, m) for n, m in zip(shape, wanted, strict=True)):
-            raise ValueError(message("mu", f"of shape {wanted}", shape))
+        fits = len(shape) == 2 and all(n in (None, m) for n, m in zip(shape, wanted, strict=True))
+        require(fits, message("mu", f"of shape {wanted}", shape))
         factor = modal_factor(response.patterns, density)
         return super().dist([(*response[:3], factor, error, mean), bands], **kwargs)
 
 
 def followed(response: SpectralResponse, excitation, mu, n: int, dt: float) -> TensorVariable:
     """Response (sensor, time) to an excitation of the length of the record."""
-    if mu is not None:
-        raise ValueError(message("mu", "left out with `excitation`", "both"))
+    require(mu is None, message("mu", "left out with `excitation`", "both"))
     if not isinstance(excitation, Record | Loading):
         raise TypeError(message("excitation", "a Record or a Loading", shown(excitation)))
-    if excitation.n_times != n or abs(excitation.dt - check_step(dt)) > 1e-6 * dt:
-        got = f"{excitation.n_times} samples at {excitation.dt:.6g} s"
-        advice = "Cut or resample one of them (`Record.resampled`)."
-        raise ValueError(message("excitation", f"{n} samples at {dt:.6g} s, as `observed`", got, advice))
+    fits = excitation.n_times == n and abs(excitation.dt - check_step(dt)) <= 1e-6 * dt
+    got, advice = f"{excitation.n_times} samples at {excitation.dt:.6g} s", "Cut or resample one of them"
+    what = message(
+        "excitation", f"{n} samples at {dt:.6g} s, as `observed`", got, f"{advice} (`Record.resampled`)."
+    )
+    require(fits, what)
     return response.known(excitation)
-
-
-def checked_channels(observed) -> np.ndarray:
-    """Channels (sensor, time) of numbers."""
-    data = as_numbers(observed, "observed", "Pass channels (sensor, time).").astype(np.float64)
-    if data.ndim != 2 or not data.size:
-        raise ValueError(message("observed", "channels (sensor, time)", data.shape))
-    check_finite(data, "observed", "Cut the record where there are gaps, and pass the parts as variables.")
-    return data
 
 
 def warn_at_start(rv, response, bands, is_known: bool) -> None:
@@ -445,8 +437,3 @@ def warn_of_peak(what: str, f: float, zeta: float, duration: float) -> None:
             f"{count:.2g} of its frequencies lie in the half-power width. Its damping will be uncertain and "
             f"biased; {FEWEST_IN_PEAK / (2 * zeta * f):.3g} s and more are better."
         )
-
-
-def tell(text: str) -> None:
-    """Warn of bands and records that cannot say much, at the user's line."""
-    warn_caller(text, AmbientWarning)
