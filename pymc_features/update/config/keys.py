@@ -30,6 +30,12 @@ ARGUMENTS = {
 }
 
 
+def demand(holds, text: str) -> None:
+    """Refuse what does not hold of a file, in a sentence."""
+    if not holds:
+        raise ConfigError(text)
+
+
 def parsed(path) -> dict:
     """The tables of a configuration file, in which every key is known, or an error that names all others."""
     path = Path(path)

@@ -13,7 +13,7 @@ from pydantic import model_validator
 
 from pymc_features import plots
 from pymc_features._checks import listed
-from pymc_features.exceptions import ConfigError, ModalMatchWarning, PriorWarning
+from pymc_features.exceptions import ModalMatchWarning, PriorWarning
 from pymc_features.likelihoods import LIKELIHOODS, Likelihood
 from pymc_features.modal import ModalData, ModalFeature, match_modes, merge_setups, modes
 from pymc_features.modal.feature import checked_parameters
@@ -21,7 +21,7 @@ from pymc_features.modal.files import read_modal
 from pymc_features.modal.files.nodes import read_nodes
 from pymc_features.modal.identified import identified
 from pymc_features.update.config.entries import Vector, evaluated
-from pymc_features.update.config.keys import named_key, refuse, shown
+from pymc_features.update.config.keys import demand, named_key, refuse, shown
 from pymc_features.update.config.sections import Names, Section, key
 from pymc_features.update.kinds import base
 from pymc_features.update.kinds.base import (
@@ -161,11 +161,11 @@ class Modal(KindOfData):
         if config.data is None:
             for keys, words in ALONE_WITHOUT.items():
                 refuse(config, keys, f"without [data], got it. {words}")
-        elif config.likelihood is not None and "ABC" in config.likelihood.kinds:
-            raise ConfigError(
-                "`likelihood.kinds` must not have ABC with [modal], for a tolerance on responses says "
-                "nothing of modes. Leave one of them out."
-            )
+        demand(
+            config.data is None or config.likelihood is None or "ABC" not in config.likelihood.kinds,
+            "`likelihood.kinds` must not have ABC with [modal], for a tolerance on responses says nothing of "
+            "modes. Leave one of them out.",
+        )
 
     @classmethod
     def read(cls, problem):
@@ -177,17 +177,15 @@ class Modal(KindOfData):
         with named_key("modal", setups="files", channels="references"):
             data = setups[0] if section.files is None else merge_setups(setups, section.references)
         numbers = list(range(1, len(data) + 1)) if section.modes is None else section.modes
-        if len(set(numbers)) < len(numbers) or not all(1 <= number <= len(data) for number in numbers):
-            raise ConfigError(
-                f"`modal.modes` must be different numbers from 1 to {len(data)}, the modes of {source}, got "
-                f"{shown(numbers)}. 1 is the first."
-            )
+        demand(
+            len(set(numbers)) == len(numbers) and {*numbers} <= {*range(1, len(data) + 1)},
+            f"`modal.modes` must be different numbers from 1 to {len(data)}, the modes of {source}, got "
+            f"{shown(numbers)}. 1 is the first.",
+        )
         data = data.select([number - 1 for number in numbers])
         labels = section.labels or (numbers if data.labels is None else list(data.labels))
-        if len(labels) != len(data):
-            raise ConfigError(
-                f"`modal.labels` must have a name for each of the {len(data)} modes, got {len(labels)}."
-            )
+        what = f"a name for each of the {len(data)} modes, got {len(labels)}."
+        demand(len(labels) == len(data), f"`modal.labels` must have {what}")
         data, dofs = at_channels(section, data, structure, source)
         if labels is numbers:  # but for modes that were found twice
             found = identified(data)
@@ -197,10 +195,8 @@ class Modal(KindOfData):
         for name, can_be_zero in (("sigma_f", is_known), ("sigma_phi", False), ("sigma_zeta", False)):
             value, of_each = getattr(section, name), (n, "modes", advice)
             base.check_positive(f"modal.{name}", value, problem.priors, *of_each, can_be_zero=can_be_zero)
-        if section.sigma_zeta is not None and data.damping_ratios is None:
-            raise ConfigError(
-                f"`modal.sigma_zeta` must be left out without damping ratios, {source} has none."
-            )
+        what = f"`modal.sigma_zeta` must be left out without damping ratios, {source} has none."
+        demand(section.sigma_zeta is None or data.damping_ratios is not None, what)
         nodes = None
         if dofs and section.nodes is not None:
             with named_key("modal", nodes="modal.nodes"):
@@ -208,11 +204,11 @@ class Modal(KindOfData):
                 nodes = Points(*read_nodes(folder / section.nodes, channels, structure.n_dof))
         most = most_modes(structure)
         n_modes = min(most, n + SPARE) if section.n_modes is None else section.n_modes
-        if not n <= n_modes <= most:
-            raise ConfigError(
-                f"`modal.n_modes` must be from the {n} modes identified to the {most} of the structure, got "
-                f"{n_modes}. Leave it out, or modes by `modal.modes`."
-            )
+        demand(
+            n <= n_modes <= most,
+            f"`modal.n_modes` must be from the {n} modes identified to the {most} of the structure, got "
+            f"{n_modes}. Leave it out, or modes by `modal.modes`.",
+        )
         for sentence in of_modes(data.frequencies, problem.prior):
             warnings.warn(sentence, PriorWarning, stacklevel=2)
         return cls(section, data, dofs, source, n_modes, numbers, labels, nodes)
@@ -292,13 +288,10 @@ class Modal(KindOfData):
         for k, (name, measured) in enumerate(zip(self.names, self.data.frequencies.tolist(), strict=True)):
             one = matched.isel(identified=k)
             values, counts = np.unique(one["model_mode"].values, return_counts=True)
-            numbers = [
-                tuple(np.quantile(one[key].values, QUANTILES).tolist()) for key in ("frequency", "mac")
-            ]
+            f, mac = (np.quantile(one[key].values, QUANTILES).tolist() for key in ("frequency", "mac"))
             most, share = 1 + int(values[counts.argmax()]), float(counts.max() / counts.sum())
-            found.append(
-                ModeRow(name, measured, *numbers, most, share, 1.0 - float(one["has_partner"].mean()))
-            )
+            strangers = 1.0 - float(one["has_partner"].mean())
+            found.append(ModeRow(name, measured, tuple(f), tuple(mac), most, share, strangers))
         return found
 
     def shared(self, problem):
@@ -433,36 +426,36 @@ def at_channels(section, data, structure, source) -> tuple[ModalData, list[int]]
     """The modes at the channels that are compared, in their sense, and their places; or frequencies alone."""
     if data.shapes is None or not section.shapes:
         of_shapes = ("channels", "scale", "sigma_phi", "nodes") + ("density",) * (not section.shapes)
-        for name in filter(section.model_fields_set.__contains__, of_shapes):
-            why = f"{source} has frequencies alone" if section.shapes else "It says shapes = false"
-            raise ConfigError(f"`modal.{name}` must be left out without shapes, got it. {why}.")
+        asked = [*filter(section.model_fields_set.__contains__, of_shapes), None]
+        why = f"{source} has frequencies alone" if section.shapes else "It says shapes = false"
+        demand(len(asked) == 1, f"`modal.{asked[0]}` must be left out without shapes, got it. {why}.")
         return replace(data, **WITHOUT_SHAPES), []
-    if section.channels is None:
-        raise ConfigError(
-            f"`modal.channels` must be given with shapes: a table of channel names to degrees of freedom. "
-            f"{source} has {listed(data.channels)}. Or set shapes = false."
-        )
+    demand(
+        section.channels is not None,
+        "`modal.channels` must be given with shapes: a table of channel names to degrees of freedom. "
+        f"{source} has {listed(data.channels)}. Or set shapes = false.",
+    )
     dofs = list(section.channels.values())
     base.check_dofs("modal.channels", dofs, structure.n_dof)
-    if len(dofs) < 2:
-        raise ConfigError(
-            "`modal.channels` must be two or more, for a shape of one entry says nothing, got one. Add "
-            "channels, or set shapes = false."
-        )
+    demand(
+        len(dofs) > 1,
+        "`modal.channels` must be two or more, for a shape of one entry says nothing, got one. Add channels, "
+        "or set shapes = false.",
+    )
     with named_key("modal"):
         data = data.select(channels=list(section.channels))
     scale = section.scale or {}
     for name, factor in scale.items():
-        if name not in data.channels or factor == 0.0:
-            raise ConfigError(
-                f"`modal.scale` must have factors that are not zero for channels that are compared "
-                f"({', '.join(data.channels)}), got {shown({name: factor})}."
-            )
-    if section.sigma_phi is None:
-        raise ConfigError(
-            f"`modal.sigma_phi` must be given with the shapes of {source}, got none. Pass the scale of the "
-            "root of 1 - MAC, about 0.05, or set shapes = false."
+        demand(
+            name in data.channels and factor != 0.0,
+            "`modal.scale` must have factors that are not zero for channels that are compared "
+            f"({', '.join(data.channels)}), got {shown({name: factor})}.",
         )
+    demand(
+        section.sigma_phi is not None,
+        f"`modal.sigma_phi` must be given with the shapes of {source}, got none. Pass the scale of the root "
+        "of 1 - MAC, about 0.05, or set shapes = false.",
+    )
     factors = np.array([scale.get(name, 1.0) for name in data.channels])
     sd = None if data.shape_sd is None else data.shape_sd * np.abs(factors)
     return replace(data, shapes=data.shapes * factors, shape_sd=sd), dofs

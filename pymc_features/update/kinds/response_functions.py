@@ -8,13 +8,13 @@ import numpy as np
 import xarray as xr
 
 from pymc_features import plots
-from pymc_features.exceptions import ConfigError, PriorWarning
+from pymc_features.exceptions import PriorWarning
 from pymc_features.io import read_frequency_response
 from pymc_features.likelihoods import Likelihood
 from pymc_features.modal.frequency_response import FrequencyResponse, MeasuredModes, measured_modes, placed
 from pymc_features.modal.transfer import unit_responses
 from pymc_features.update.config.entries import Vector, evaluated, priors_in
-from pymc_features.update.config.keys import named_key
+from pymc_features.update.config.keys import demand, named_key
 from pymc_features.update.config.sections import Section, Window, key
 from pymc_features.update.kinds import base
 from pymc_features.update.kinds.base import QUANTILES, KindOfData, Verdict, kinds_of, table
@@ -77,14 +77,15 @@ class FrequencyResponses(KindOfData):
             if role == "reference" and data.attrs["excitation"] == "base":
                 places.append(None)
                 continue
-            if given is not None and set(labels) - set(given):
-                missing = ", ".join(label for label in labels if label not in given)
-                raise ConfigError(f"`{cls.key}.{role}s` must have every label, got none of {missing}.")
+            missing = ", ".join(
+                label for label in labels if label not in (labels if given is None else given)
+            )
+            demand(not missing, f"`{cls.key}.{role}s` must have every label, got none of {missing}.")
             with named_key("frequency_response"):
                 dofs = None if given is None else [given[label] for label in labels]
                 places.append(placed(problem.expected, labels, dofs, f"{role}s")[0])
-            if max(places[-1]) >= n:
-                raise ConfigError(f"`{cls.key}.{role}s` must be degrees of freedom from 0 to {n - 1}.")
+            what = f"`{cls.key}.{role}s` must be degrees of freedom from 0 to {n - 1}."
+            demand(max(places[-1]) < n, what)
         f = measured.fit.modes.natural / (2.0 * np.pi)
         for sentence in of_modes(f, problem.prior):
             warnings.warn(sentence, PriorWarning, stacklevel=2)
