@@ -133,7 +133,6 @@ def intervals(data: xr.Dataset, model_error: bool, grid=(12, 10, 6)):
     """5, 50 and 95 % quantiles (3, 3) of theta, by Laplace's method on a grid of the model's errors."""
     fit = measured_modes(data).fit
     parts = standardised(fit, True)
-    size = len(SENSORS)
     scales = np.zeros((1, 3))
     if model_error:
         spans = [
@@ -145,7 +144,7 @@ def intervals(data: xr.Dataset, model_error: bool, grid=(12, 10, 6)):
     for _ in range(3):
         points = np.array([theta, *(theta + 1e-4 * np.vstack([np.eye(3), -np.eye(3)]))])
         f, z, shapes = map(np.array, zip(*map(modal, points), strict=True))
-        m = misfit_of(f, z, shapes, np.full((7, 3), 0.02), *parts, size)
+        m = misfit_of(f, z, shapes, np.full((7, 3), 0.02), *parts)
         slope, here = (m.z[1:4] - m.z[4:]).T / 2e-4, m.z[0]
         covariance = np.eye(len(here)) + np.tensordot(scales**2, parts[2], 1)
         solved = np.linalg.solve(covariance, np.broadcast_to(np.c_[slope, here], (len(scales), len(here), 4)))

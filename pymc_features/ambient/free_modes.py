@@ -76,17 +76,15 @@ class Posterior:
         m, s = c.shapes.shape
         u, v, t, a, real, imaginary, e = (x[:, part] for part in self.parts)
         shapes = c.shapes + np.einsum("mst,nmt->nms", self.basis, t.reshape(n, m, s - 1))
-        factor = np.zeros((n, 1, m, m, 2))
-        diagonal = np.diag(c.factor).real
-        factor[:, 0, np.arange(m), np.arange(m), 0] = diagonal * np.exp(a)
-        rows, columns = self.below
-        off = c.factor[rows, columns] + diagonal[rows] * (real + 1j * imaginary)
-        factor[:, 0, rows, columns, 0], factor[:, 0, rows, columns, 1] = off.real, off.imag
+        factor, diagonal = np.zeros((n, 1, m, m), complex), np.diag(c.factor).real
+        factor[:, 0, np.arange(m), np.arange(m)] = diagonal * np.exp(a)
+        off = diagonal[self.below[0]] * (real + 1j * imaginary)
+        factor[:, 0, *self.below] = c.factor[self.below] + off
         parameters = (
             c.natural * np.exp(c.ratios * u),
             c.ratios * np.exp(v),
             shapes,
-            factor,
+            factor.view(np.float64).reshape(n, 1, m, m, 2),
             np.repeat(c.error * np.exp(e)[:, :, None], s, axis=2),
             np.repeat(self.data.spectra[None], n, axis=0),
         )
@@ -107,17 +105,16 @@ class Posterior:
             *(np.zeros(y.shape) for y in p[:-1]), np.zeros((0, *self.data.spectra.shape))
         )
         spectral_gradient(p, self.data.lines, logp, slopes)
-        m = len(self.centre.natural)
-        rows, columns = self.below
-        diagonal, each = np.diag(self.centre.factor).real, np.arange(m)
+        diagonal, each = np.diag(self.centre.factor).real, np.arange(len(self.centre.natural))
+        below = slopes.factor[:, 0, *self.below] * diagonal[self.below[0], None]
         with np.errstate(invalid="ignore", over="ignore"):
             parts = (
                 slopes.natural * p.natural * self.centre.ratios,
                 slopes.ratios * p.ratios,
                 np.einsum("mst,nms->nmt", self.basis, slopes.shapes).reshape(len(x), -1),
                 slopes.factor[:, 0, each, each, 0] * p.factor[:, 0, each, each, 0],
-                slopes.factor[:, 0, rows, columns, 0] * diagonal[rows],
-                slopes.factor[:, 0, rows, columns, 1] * diagonal[rows],
+                below[..., 0],
+                below[..., 1],
                 (slopes.error * p.error).sum(axis=(1, 2))[:, None],
             )
         return logp, np.nan_to_num(np.concatenate(parts, axis=1))

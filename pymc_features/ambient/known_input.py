@@ -8,7 +8,7 @@ that no window is needed and nothing leaks.
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import as_list, message, shown
+from pymc_features._checks import as_list, message, require, shown
 from pymc_features.ambient.bands import checked_bands
 from pymc_features.modal.transfer import (
     BEYOND,
@@ -29,18 +29,16 @@ def split_channels(channels: xr.DataArray, excitation) -> tuple[xr.DataArray, xr
     if not isinstance(excitation, xr.DataArray):
         names = [excitation] if isinstance(excitation, str) else as_list(excitation)
         known = channels["sensor"].values.tolist()
-        if not names or not all(name in known for name in names) or len(names) == len(known):
-            listed = ", ".join(map(str, known))
-            raise ValueError(
-                message("excitation", f"some of the channels {listed}, or others", shown(excitation))
-            )
+        are_some = names and all(name in known for name in names) and len(names) < len(known)
+        what = f"some of the channels {', '.join(map(str, known))}, or others"
+        require(are_some, message("excitation", what, shown(excitation)))
         rest = [name for name in known if name not in names]
         return channels.sel(sensor=rest), channels.sel(sensor=names)
     step, other = sampling_step(channels), sampling_step(excitation)
-    if excitation.sizes["time"] != channels.sizes["time"] or abs(step - other) > 1e-3 * step:
-        expected = f"{channels.sizes['time']} samples at {step:.6g} s, as `channels`"
-        got = f"{excitation.sizes['time']} samples at {other:.6g} s"
-        raise ValueError(message("excitation", expected, got, "Resample one of them."))
+    n, n_other = channels.sizes["time"], excitation.sizes["time"]
+    expected, got = f"{n} samples at {step:.6g} s, as `channels`", f"{n_other} samples at {other:.6g} s"
+    fits = n == n_other and abs(step - other) <= 1e-3 * step
+    require(fits, message("excitation", expected, got, "Resample one of them."))
     return channels, excitation
 
 
@@ -70,17 +68,17 @@ def fitted_bands(
 
 def rows_of_fit(fit: TransferFit) -> list[tuple]:
     """Frequency, damping ratio and shape of length one of each mode, their deviations; participation, too."""
-    modes, whole, rows = fit.modes, fit.covariance, []
-    k, n_in = modes.table.shape[1], modes.inputs.shape[1]
-    for i, (w, z) in enumerate(np.exp(modes.table[:, :2])):
-        p_in, p_out = modes.inputs[i], modes.outputs[i]
-        covariance = whole[i * k : (i + 1) * k, i * k : (i + 1) * k]
-        length = np.linalg.norm(p_out)
-        unit = p_out / length
+    modes, sds, rows = fit.modes, fit.deviations, []
+    (n, k), n_in = modes.table.shape, modes.inputs.shape[1]
+    covariances = fit.covariance.reshape(n, k, n, k)
+    for i, (f, z, sd) in enumerate(zip(modes.frequencies, modes.ratios, sds, strict=True)):
+        length = np.linalg.norm(modes.outputs[i])
+        unit = modes.outputs[i] / length
         of_shape, of_inputs = np.zeros((len(unit), k)), np.zeros((n_in, k))
         of_shape[:, 2 + n_in :] = (np.eye(len(unit)) - np.outer(unit, unit)) / length
-        of_inputs[:, 2 : 2 + n_in], of_inputs[:, 2 + n_in :] = length * np.eye(n_in), np.outer(p_in, unit)
-        slopes = [np.eye(2, k) * [[w / (2.0 * np.pi)], [z]], of_shape, of_inputs]
-        of_f_and_z, *sds = (np.sqrt(np.diag(x @ covariance @ x.T).clip(min=0.0)) for x in slopes)
-        rows.append((w / (2.0 * np.pi), z, unit, *of_f_and_z, sds[0], length * p_in, sds[1]))
+        of_inputs[:, 2 : 2 + n_in] = length * np.eye(n_in)
+        of_inputs[:, 2 + n_in :] = np.outer(modes.inputs[i], unit)
+        variances = (np.diag(x @ covariances[i, :, i] @ x.T).clip(min=0.0) for x in (of_shape, of_inputs))
+        shape_sd, participation_sd = map(np.sqrt, variances)
+        rows.append((f, z, unit, f * sd[0], z * sd[1], shape_sd, length * modes.inputs[i], participation_sd))
     return rows

@@ -11,12 +11,7 @@ from pymc_features.ops.arrays import ArrayOp, RowOp
 from pymc_features.ops.batches import take_batches
 from pymc_features.ops.gradient import undefined
 from pymc_features.ops.numba_dispatch import run_in_python
-from pymc_features.simulators.spectra import (
-    Lines,
-    SpectralParameters,
-    spectral_gradient,
-    spectral_logp,
-)
+from pymc_features.simulators.spectra import Lines, SpectralParameters, spectral_gradient, spectral_logp
 
 NDIMS = 1, 1, 2, 4, 2, 3  # of `SpectralParameters`
 N = len(NDIMS)
@@ -80,10 +75,7 @@ class SpectralGradient(SpectralOp):
 
     def pullback(self, inputs, outputs, cotangents):
         """No second derivatives."""
-        return [
-            *(undefined(self, inputs, i) for i in range(N)),
-            *(disconnected_type() for _ in inputs[N:]),
-        ]
+        return [*(undefined(self, inputs, i) for i in range(N)), *(disconnected_type() for _ in inputs[N:])]
 
 
 take_batches(SpectralLogp, SpectralGradient, first=N)

@@ -264,8 +264,8 @@ def scale(name, value, n, values=None, sd=None):
     """A tensor (n,); numbers are refused where not positive, or zero where all values have an sd."""
     allow_zero = values is not None and (sd[~np.isnan(values)] > 0.0).all()
     tensor = positive_tensor(value, name, zero=allow_zero)
-    if tensor.ndim > 1 or (tensor.ndim == 1 and tensor.type.shape[0] not in (None, 1, n)):
-        raise ValueError(message(name, f"one value or one for each of the {n} modes", tensor.type.shape))
+    what = message(name, f"one value or one for each of the {n} modes", tensor.type.shape)
+    require(tensor.type.shape in ((), (None,), (1,), (n,)), what)
     return pt.broadcast_to(tensor, (n,))
 
 

@@ -48,7 +48,7 @@ IN_PEAK = 3.0  # lines of Hann segments in a half-power width: with 2.4 damping 
 POOR = 1.2  # mean square of residuals over their variance, above which lines alone are warned of
 CLOSE, ALIKE = 0.01, 0.03  # errors of ln f and shapes that modes are matched with, where the model has less
 tell = partial(warn_caller, category=ModalMatchWarning)
-SIGNATURE = "(m),(m),(m,s),(e),(n,k),(d,q),(e,d,d),()->(d)"
+SIGNATURE = "(m),(m),(m,s),(e),(n,k),(d,q),(e,d,d),(s,o)->(d)"
 
 
 class FrequencyResponse:
@@ -167,16 +167,15 @@ class FrequencyResponse:
                 value = positive_tensor(value, key)
                 require(not value.ndim, message(key, "one value", f"{value.ndim} dimensions"))
             sigmas.append(value)
-        q_0, root, parts = standardised(fit, is_force)
-        n_out = fit.modes.outputs.shape[1]
-        given = found.frequencies, found.damping_ratios, shapes, pt.stack(sigmas), q_0, root, parts, n_out
+        constants = standardised(fit, is_force)
+        given = found.frequencies, found.damping_ratios, shapes, pt.stack(sigmas), *constants
         rv = pm.CustomDist(
             name,
             *given,
             logp=lambda value, *given: TransferLogp()(*given, value)[0],
             random=drawn,
             signature=SIGNATURE,
-            observed=np.zeros(len(root)),
+            observed=np.zeros(len(constants[1])),
         )
         warn_at_start(name, found, observed, fit)
         factor = observed["variance"].attrs.get("factor", 1.0) if "variance" in observed else np.nan
@@ -253,8 +252,11 @@ def placed(structure, labels, given, name: str) -> tuple[list[int], np.ndarray]:
     return places, np.array(signs)
 
 
-def standardised(fit: TransferFit, is_force: bool):
-    """q_0 (n, k), the root R (d, n k) of the information, and R S R' of each part of the model's error."""
+def standardised(fit: TransferFit, is_force: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """q_0 (n, k), the root R (d, n k) of the information, R S R' of each part of the model's error, and ends.
+
+    Ends (k - 2, e) are ones where a channel of q_0, responses first, is a response, or a reference.
+    """
     (n, k), n_in = fit.modes.table.shape, fit.modes.inputs.shape[1]
     order = np.r_[0, 1, 2 + n_in : k, 2 : 2 + n_in * is_force]
     kept = (np.arange(n)[:, None] * k + order).ravel()
@@ -262,19 +264,13 @@ def standardised(fit: TransferFit, is_force: bool):
     _, information = without_rest(np.zeros(n * k), fit.information[np.ix_(both, both)], kept.size)
     q_0, (values, vectors, scale) = fit.modes.table[:, order], known_directions(information)
     root = (vectors * np.sqrt(values)).T * scale
-    of_end = ends_of(q_0, k - 2 - n_in)
+    of_end = np.eye(2)[(np.arange(len(order) - 2) >= k - 2 - n_in).astype(int), : 1 + is_force]
     sizes = np.sqrt(q_0[:, 2:] ** 2 @ of_end / of_end.sum(axis=0)) @ of_end.T
     along = root.reshape(len(root), n, -1)
     of_f = CORRELATION + (1.0 - CORRELATION) * np.eye(n)
     of_shapes = (along[:, :, 2:] * sizes).reshape(len(root), -1)
     pairs = (along[:, :, 0] @ of_f, along[:, :, 0]), (along[:, :, 1],) * 2, (of_shapes,) * 2
-    return q_0, root, np.array([x @ y.T for x, y in pairs])
-
-
-def ends_of(q_0, n_out: int) -> np.ndarray:
-    """Ones (s, e) where one of the channels in q_0, responses first, is a response, or a reference."""
-    is_reference = np.arange(q_0.shape[1] - 2) >= n_out
-    return np.eye(2)[is_reference.astype(int), : 1 + is_reference.any()]
+    return q_0, root, np.array([x @ y.T for x, y in pairs]), of_end
 
 
 class Misfit(NamedTuple):
@@ -283,7 +279,6 @@ class Misfit(NamedTuple):
     match: np.ndarray  # number of the mode of the model that each measured one is taken for (b, n)
     scaled: np.ndarray  # shapes of these, in the scale of the measured ones (b, n, s)
     factors: np.ndarray  # by which they were multiplied (b, n, s)
-    of_end: np.ndarray  # of `ends_of` (s, e)
     balance: np.ndarray  # of the logarithms of factors by those that each end would take alone (e, e)
     z: np.ndarray  # R (q - q_0) (b, d)
     covariance: np.ndarray  # (b, d, d)
@@ -296,10 +291,10 @@ def drawn(*given, rng=None, size=None) -> np.ndarray:
 
 
 @np.errstate(all="ignore")  # what is not finite has no likelihood
-def misfit_of(frequencies, ratios, shapes, sigmas, q_0, root, parts, n_out) -> Misfit:
-    """Match modes (b, m) with the measured ones, and compare them."""
-    of_end, y = ends_of(q_0, int(n_out)), q_0[:, 2:]
-    aim, n_ends = y**2 @ of_end, of_end.shape[1]
+def misfit_of(frequencies, ratios, shapes, sigmas, q_0, root, parts, of_end) -> Misfit:
+    """Match modes (b, m) with the measured ones, and compare them; the last four are of `standardised`."""
+    y, n_ends = q_0[:, 2:], of_end.shape[1]
+    aim = y**2 @ of_end
     logs = np.log(2.0 * np.pi * frequencies), np.log(ratios)
     score = ((q_0[:, :1] - logs[0][:, None]) / np.maximum(sigmas[:, 0], CLOSE)[:, None, None]) ** 2
     size, wide = shapes**2 @ of_end, np.maximum(sigmas[:, 2], ALIKE)[:, None, None] ** 2
@@ -317,15 +312,14 @@ def misfit_of(frequencies, ratios, shapes, sigmas, q_0, root, parts, n_out) -> M
     off = np.concatenate([*logs, own * factors], axis=2) - q_0
     z = off.reshape(len(off), -1) @ root.T
     covariance = np.eye(len(root)) + np.tensordot(sigmas**2, parts, 1)
-    return Misfit(match, own * factors, factors, of_end, balance, z, covariance)
+    return Misfit(match, own * factors, factors, balance, z, covariance)
 
 
 class TransferLogp(RowOp):
     """Log-likelihood of the measured modes, and its gradient by what the model gives.
 
     Inputs are frequencies (m,) [Hz], damping ratios (m,) and shapes (m, s) of the model, the errors (3,) of
-    ln f, ln zeta and shapes; and as constants q_0, R and R S R' of `standardised`, the number of
-    responses, and the data (d,), zero.
+    ln f, ln zeta and shapes; and as constants those of `standardised`, and the data (d,), zero.
     """
 
     ndims = 1, 1, 2, 1
@@ -350,10 +344,10 @@ run_in_python(TransferLogp)
 
 
 def logp_and_gradient(
-    frequencies, ratios, shapes, sigmas, q_0, root, parts, n_out, value
+    frequencies, ratios, shapes, sigmas, q_0, root, parts, of_end, value
 ) -> tuple[np.ndarray, ...]:
     """Log-likelihoods (b,), and gradients by the first four arguments; -inf and zero where there is none."""
-    m = misfit_of(frequencies, ratios, shapes, sigmas, q_0, root, parts, n_out)
+    m = misfit_of(frequencies, ratios, shapes, sigmas, q_0, root, parts, of_end)
     b, n = m.match.shape
     good = np.isfinite(m.z).all(axis=1) & np.isfinite(m.covariance).all(axis=(1, 2))
     logp, slopes = np.full(b, -np.inf), [np.zeros(x.shape) for x in (frequencies, ratios, shapes, sigmas)]
@@ -370,8 +364,8 @@ def logp_and_gradient(
     for i, values in enumerate((frequencies, ratios)):
         slopes[i][rows, match] = of_q[..., i] / np.take_along_axis(values[good], match, axis=1)
     # factors change with the sizes of shapes
-    change = ((of_q[..., 2:] * scaled) @ m.of_end @ m.balance) / (scaled**2 @ m.of_end)
-    slopes[2][rows, match] = (of_q[..., 2:] - change @ m.of_end.T * scaled) * m.factors[good]
+    change = ((of_q[..., 2:] * scaled) @ of_end @ m.balance) / (scaled**2 @ of_end)
+    slopes[2][rows, match] = (of_q[..., 2:] - change @ of_end.T * scaled) * m.factors[good]
     return logp, *slopes
 
 
@@ -381,7 +375,7 @@ def warn_at_start(name, found, observed, fit: TransferFit) -> None:
     Refuse undamped modes.
     """
     if observed.attrs.get("window") == "hann":
-        duration, peaks = observed.attrs["duration"], fit.modes.natural / (2.0 * np.pi)
+        duration, peaks = observed.attrs["duration"], fit.modes.frequencies
         counts = 2.0 * fit.modes.ratios * peaks * duration
         if counts.min() < IN_PEAK:
             tell(
@@ -399,7 +393,7 @@ def warn_at_start(name, found, observed, fit: TransferFit) -> None:
     got = f"{len(f)}, {(f == 0.0).sum()} of them of a rigid body"
     require(bends.sum() >= n, message("n_modes", f"more than {n}, those that were measured", got))
     low, high = observed["frequency"].values[[0, -1]]
-    inside, peaks = f[(f > low) & (f < high)], fit.modes.natural / (2.0 * np.pi)
+    inside, peaks = f[(f > low) & (f < high)], fit.modes.frequencies
     if len(inside) != len(peaks):
         few, many = ("peak", "modes") if len(peaks) < len(inside) else ("mode", "peaks")
         seen, own = (", ".join(f"{x:.4g}" for x in some) or "none" for some in (peaks, inside))

@@ -35,9 +35,7 @@ class Identified(NamedTuple):
     frequencies: np.ndarray  # (g, k), f^ [Hz]
     sd: np.ndarray  # (g, k), standard deviation of ln f^ [-], zero where none was identified
     shapes: np.ndarray  # (g, k, s), phi^, real or complex
-    shape_sd: (
-        np.ndarray
-    )  # (g, k, s), standard deviations in the scale of the shapes, zero where none is known
+    shape_sd: np.ndarray  # (g, k, s), in the scale of the shapes, zero where none is known
     damping: np.ndarray | None = None  # (g, k), zeta^, None where it is not compared
     damping_sd: np.ndarray | None = None  # (g, k), standard deviation of ln zeta^, zero where none is known
 
@@ -108,26 +106,22 @@ def identified(observed, labels=None, *, damping: bool = False) -> Identified:
     else:
         given = {"frequencies": observed}
     frequencies = ModalData(given["frequencies"]).frequencies
+    given = {**given, "shape_sd": by_labels(given.get("shape_sd"), axes=("mode", "sensor"))}
     shapes, n = _shapes(given.get("shapes"), frequencies.size), frequencies.size
 
-    def spread(name: str, value) -> np.ndarray | float:
+    def spread(name: str) -> np.ndarray | float:
         """Standard deviations, zero where there is none."""
-        if value is None:
+        if (value := given.get(name)) is None:
             return 0.0
         values = as_numbers(value, name)
         values = np.where(values == 0.0, np.nan, values)
         return np.nan_to_num(check_numbers(values, name, n, shapes.shape[1]))
 
-    shape_sd = by_labels(given.get("shape_sd"), axes=("mode", "sensor")) if shapes.size else None
-    arrays = {
-        "frequencies": frequencies,
-        "sd": spread("frequency_sd", given.get("frequency_sd")) / frequencies,
-    }
-    arrays |= {"shapes": shapes, "shape_sd": spread("shape_sd", shape_sd) + np.zeros(shapes.shape)}
+    arrays = {"frequencies": frequencies, "sd": spread("frequency_sd") / frequencies, "shapes": shapes}
+    arrays["shape_sd"] = np.zeros(shapes.shape) + (spread("shape_sd") if shapes.size else 0.0)
     if damping:
-        ratios = _damping(given.get("damping_ratios"), n)
-        sd = spread("damping_sd", given.get("damping_sd"))
-        arrays |= {"damping": ratios, "damping_sd": np.nan_to_num(sd / ratios)}
+        arrays["damping"] = ratios = _damping(given.get("damping_ratios"), n)
+        arrays["damping_sd"] = np.nan_to_num(spread("damping_sd") / ratios)
     if labels is None:
         labels = doubles(np.log(frequencies), arrays["sd"], arrays["shapes"])
     listed, labels = as_list(labels), as_array(labels)

@@ -86,9 +86,7 @@ class Parameters(NamedTuple):
     degrees: TensorVariable  # (g,), of freedom of 1 - MAC
     sd_f: TensorVariable  # (g, k), scatter of ln f^
     sd_zeta: TensorVariable  # (g, k), of ln zeta^; or (g, 0)
-    scatter: (
-        TensorVariable  # (g, k), mean squares of shapes of length one; or (g, k s), of each entry of them
-    )
+    scatter: TensorVariable  # (g, k), mean squares of shapes of length one; or (g, k s), of each entry
     known: TensorVariable  # (g, c), 1 where an entry of the data is known
     match: TensorVariable  # (g, m), 1 at the mode of the model that draws are of
 

@@ -51,9 +51,7 @@ class Lines(NamedTuple):
     duration: float = np.inf  # of the record [s]
     dt: float = np.nan  # [s]
     decays: bool = False  # whether records neither begin nor end at rest
-    rest: tuple[int, ...] = (
-        BEYOND  # powers of s beside s^q of the terms for modes that are not among the lines
-    )
+    rest: tuple[int, ...] = BEYOND  # powers of s beside s^q of the terms for modes beside the lines
 
     @property
     def s(self) -> np.ndarray:
@@ -80,6 +78,7 @@ class TransferModes(NamedTuple):
     ends: np.ndarray  # amplitudes of free decays (experiment, n, 2), of no experiment where there are none
 
     natural = property(lambda self: np.exp(self.table[:, 0]), doc="Angular frequencies (n,) [rad/s].")
+    frequencies = property(lambda self: self.natural / (2.0 * np.pi), doc="Natural frequencies (n,) [Hz].")
     ratios = property(lambda self: np.exp(self.table[:, 1]), doc="Damping ratios (n,).")
     inputs = property(lambda self: self.table[:, 2 : 2 + self.rest.shape[1]], doc="p_r (n, r).")
     outputs = property(lambda self: self.table[:, 2 + self.rest.shape[1] :], doc="p_a (n, a).")
@@ -117,6 +116,11 @@ class TransferFit(NamedTuple):
     def covariance(self) -> np.ndarray:
         """Covariance of q; the scale of p_r against p_a, of which the lines know nothing, has none."""
         return with_pseudo_inverse(self.information)
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviations of q (n, 2 + r + a)."""
+        return np.sqrt(np.diag(self.covariance).clip(min=0.0)).reshape(self.modes.table.shape)
 
 
 def unit_responses(natural, ratios, lines: Lines, blow=np.nan) -> np.ndarray:
@@ -181,6 +185,8 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
     sizes = [*(x.size for x in modes), n_in * (drift > 0.0), (n_in + n_out) * (gain > 0.0)]
     *places, at_drift, at_gain = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
     at, at_rest, at_end = (place.reshape(x.shape) for place, x in zip(places, modes, strict=True))
+    rows = np.arange(n_in * n_columns).reshape(n_in, -1)
+    blocks = [np.split(row, [n, 2 * n, 3 * n]) for row in rows]
     information, gradient = np.zeros((sum(sizes),) * 2), np.zeros(sum(sizes))
     log_likelihood = square = count = 0
     for e, experiment in enumerate(experiments):
@@ -191,9 +197,8 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
             basis = np.concatenate([basis, *free_decays(w, z, lines)])
         for a, (y, v) in enumerate(zip(experiment.response, experiment.variance, strict=True)):
             to, linear = np.zeros((len(basis), sum(sizes))), np.zeros(len(basis))
-            for i, r in enumerate(experiment.inputs):
-                rows, both = np.arange(i * n_columns, (i + 1) * n_columns), p_out[:, a] * p_in[:, r]
-                of_g, of_w, of_z, of_rest = np.split(rows, [n, 2 * n, 3 * n])
+            for r, (of_g, of_w, of_z, of_rest) in zip(experiment.inputs, blocks, strict=False):
+                both = p_out[:, a] * p_in[:, r]
                 linear[of_g], linear[of_rest] = both, modes.rest[a, r]
                 to[of_g, at[:, 2 + r]], to[of_g, at[:, 2 + n_in + a]] = p_out[:, a], p_in[:, r]
                 to[of_w, at[:, 0]] = to[of_z, at[:, 1]] = both
@@ -316,7 +321,7 @@ def are_seen(modes: TransferModes, experiments, lines: Lines, widest=WIDEST) -> 
 
     A peak has a share of the power in its half-power width, in units of the variance of each response.
     """
-    f, (low, high) = modes.natural / (2.0 * np.pi), lines.frequencies[[0, -1]]
+    f, (low, high) = modes.frequencies, lines.frequencies[[0, -1]]
     step, off = np.min(np.diff(lines.frequencies)), np.abs(lines.frequencies - f[:, None])
     inside = off <= np.maximum(modes.ratios * f, off.min(axis=1))[:, None]
     own, whole = np.zeros(len(f)), np.zeros(len(f))
@@ -394,7 +399,7 @@ def fit_modes(
             if instead[0] > there[0]:
                 experiments, modes, here, known = moved, apart, instead, of_apart
                 continue
-        f = more.natural[-1] / (2.0 * np.pi)
+        f = more.frequencies[-1]
         off = np.abs(lines.frequencies - f)
         is_inside = lines.frequencies[0] < f < lines.frequencies[-1]
         is_seen = are_seen(more, of_more, lines, widest)[-1]

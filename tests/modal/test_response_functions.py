@@ -201,7 +201,7 @@ def test_draws_have_the_covariance_of_the_likelihood(model, data):
         )
     with fixed:
         draws = pm.draw(fixed["H"], 4000, random_seed=1)
-    _, root, parts = standardised(measured_modes(data).fit, True)
+    _, root, parts, _ = standardised(measured_modes(data).fit, True)
     covariance = np.eye(len(root)) + np.tensordot(np.array([0.02, 0.2, 0.1]) ** 2, parts, 1)
     ratio = draws.var(axis=0) / np.diag(covariance)
     assert np.abs(ratio - 1.0).max() < 6.0 * np.sqrt(2.0 / 4000)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pymc_features._checks import shown
+from pymc_features._checks import require, shown
 
 AXES = ("x", "y", "z")
 COLUMNS = ("dof", "name", *AXES, "direction", "line")
@@ -21,24 +21,20 @@ def read_nodes(path: Path, channels: dict[str, int], n_dof: int) -> tuple[np.nda
     column is missing; `direction`, x, y or z, perhaps with a minus, in which the degree of freedom moves; and
     `line`: rows that are equal there are joined in their order. Without a degree of freedom a node is held.
     """
-    if not path.is_file():
-        raise ValueError(f"`nodes` must be an existing file, got {path}. Leave it out for storeys.")
+    require(path.is_file(), f"`nodes` must be an existing file, got {path}. Leave it out for storeys.")
     try:
         rows = pd.read_csv(path, dtype=str, keep_default_na=False, index_col=False, encoding="utf-8-sig")
     except ValueError as error:
         raise ValueError(f"`nodes` must be a CSV file, got {path.name}: {error}.") from error
     rows = rows.rename(columns=str.strip).fillna("").apply(lambda column: column.str.strip())
-    if set(rows) - set(COLUMNS) or len({"dof", "name"} & set(rows)) != 1:
-        raise ValueError(
-            f"`nodes` must have the columns dof or name, x, y, z, and perhaps direction and line, got "
-            f"{shown(', '.join(rows))} in {path.name}."
-        )
-    if not set(AXES) & set(rows):
-        raise ValueError(f"`nodes` must have a column x, y or z, got none in {path.name}.")
+    got = f"{shown(', '.join(rows))} in {path.name}."
+    what = f"the columns dof or name, x, y, z, and perhaps direction and line, got {got}"
+    are_known = {*rows} <= {*COLUMNS} and len({"dof", "name"} & {*rows}) == 1
+    require(are_known, f"`nodes` must have {what}")
+    require({*AXES} & {*rows}, f"`nodes` must have a column x, y or z, got none in {path.name}.")
 
     def refuse(key, is_wrong, words, advice=""):
-        if is_wrong.any():
-            at = int(is_wrong.argmax())
+        for at in np.flatnonzero(is_wrong):
             where, got = f"{path.name}, line {at + 2}", shown(rows[key][at])
             raise ValueError(f"`nodes`, {where}: `{key}` must be {words}, got {got}. {advice}".strip())
 
@@ -62,11 +58,8 @@ def read_nodes(path: Path, channels: dict[str, int], n_dof: int) -> tuple[np.nda
     table = pd.DataFrame(columns)
     points, numbers = table.drop_duplicates(), table.groupby([*table], sort=False).ngroup()
     for name, dof in channels.items():
-        if dof not in points["dof"].values:
-            raise ValueError(
-                f"`nodes` must have a row for every channel, {path.name} has none for {name} (degree "
-                f"of freedom {dof}). Add it."
-            )
+        what = f"{path.name} has none for {name} (degree of freedom {dof}). Add it."
+        require(dof in points["dof"].values, f"`nodes` must have a row for every channel, {what}")
     lines = numbers.groupby(rows.get("line", pd.Series("", rows.index)), sort=False).agg(list).tolist()
     nodes = {"coordinates": list(points[[*AXES]].itertuples(index=False, name=None)), "lines": lines}
     if "direction" in rows:

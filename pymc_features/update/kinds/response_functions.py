@@ -86,7 +86,7 @@ class FrequencyResponses(KindOfData):
                 places.append(placed(problem.expected, labels, dofs, f"{role}s")[0])
             what = f"`{cls.key}.{role}s` must be degrees of freedom from 0 to {n - 1}."
             demand(max(places[-1]) < n, what)
-        f = measured.fit.modes.natural / (2.0 * np.pi)
+        f = measured.fit.modes.frequencies
         for sentence in of_modes(f, problem.prior):
             warnings.warn(sentence, PriorWarning, stacklevel=2)
         return cls(asked, measured, *places, ", ".join(Path(file).name for file in files))
@@ -126,7 +126,7 @@ class FrequencyResponses(KindOfData):
         posterior, data = base.thinned(idata["posterior"].to_dataset(), DRAWS), self.measured.data
         every = max(1, data.sizes["frequency"] // LINES)
         lines = self.measured.lines._replace(frequencies=data["frequency"].values[::every])
-        natural = self.measured.fit.modes.natural / (2.0 * np.pi)
+        natural = self.measured.fit.modes.frequencies
         sizes, nearest = [], []
         for _, found in base.modes_of_draws(problem, posterior, self.asked.n_modes):
             f, zeta, shapes = found.natural_frequencies, found.damping_ratios, found.mode_shapes
@@ -151,19 +151,13 @@ class FrequencyResponses(KindOfData):
 
     def shared(self, problem):
         """The modes that were measured, with standard deviations of ln f and ln zeta."""
-        modes, sd = self.measured.fit.modes, self.deviations
-        found = {"frequency": modes.natural / (2.0 * np.pi), "damping_ratio": modes.ratios}
+        modes, sd = self.measured.fit.modes, self.measured.fit.deviations
+        found = {"frequency": modes.frequencies, "damping_ratio": modes.ratios}
         found |= {"ln_frequency_sd": sd[:, 0], "ln_damping_sd": sd[:, 1]}
         parts = {name: ("mode", values) for name, values in found.items()}
         return {
             "measured_modes": xr.Dataset(parts, {"mode": 1 + np.arange(len(sd))}, {"source": self.source})
         }
-
-    @property
-    def deviations(self) -> np.ndarray:
-        """Standard deviations of q (mode, entry) by the lines."""
-        fit = self.measured.fit
-        return np.sqrt(np.diag(fit.covariance).clip(min=0.0)).reshape(len(fit.modes.natural), -1)
 
     def told(self):
         data, (low, high) = self.measured.data, self.band
@@ -178,10 +172,10 @@ class FrequencyResponses(KindOfData):
         rows = []
         for kind in kinds_of(result):
             found = result[f"{kind}/functions"].to_dataset()
-            for i, (w, zeta) in enumerate(zip(modes.natural, modes.ratios, strict=True)):
+            for i, (measured, zeta) in enumerate(zip(modes.frequencies, modes.ratios, strict=True)):
                 f, z = (found[name].values[:, i] for name in ("natural_frequency", "damping_ratio"))
                 ends = f"{100.0 * z[0]:.3g}-{100.0 * z[2]:.3g}"
-                cells = (f"{x:.5g}" for x in (w / (2.0 * np.pi), *f))
+                cells = (f"{x:.5g}" for x in (measured, *f))
                 rows.append((kind, i + 1, *cells, f"{100.0 * zeta:.3g}", ends))
         note = f"There are {self.used} from {self.source}. Damping as measured, and 5 to 95 % of the model."
         columns = "likelihood", *COLUMNS
@@ -193,13 +187,13 @@ class FrequencyResponses(KindOfData):
 
     def verdict(self, problem, result, kind):
         found, posterior = result[f"{kind}/functions"].to_dataset(), result[f"{kind}/posterior"].to_dataset()
-        modes, sd = self.measured.fit.modes, self.deviations
+        modes, sd = self.measured.fit.modes, self.measured.fit.deviations
         names = [item.prior for item in priors_in(self.asked.sigma_f)]
         sigma = float(
             evaluated(self.asked.sigma_f, {name: float(posterior[name].median()) for name in names})
         )
         middle = found["natural_frequency"].sel(quantile=0.5).values
-        off = np.log(modes.natural / (2.0 * np.pi) / middle)
+        off = np.log(modes.frequencies / middle)
         z = np.abs(off) / np.hypot(sigma, sd[:, 0])
         worst = int(z.argmax())
         said = "The model has" if z[worst] < FAR else "The model does not have"
