@@ -47,8 +47,6 @@ class Assignment(ArrayOp):
 
     def make_node(self, score):
         score = pt.as_tensor_variable(score).astype("float64")
-        if score.ndim < 2:
-            raise ValueError(f"`score` must be (..., row, column), got {score.ndim} dimensions.")
         return Apply(self, [score], [score.type()])
 
     def run(self, inputs) -> tuple[np.ndarray]:

@@ -11,36 +11,16 @@ import pytest
 import xarray as xr
 from pytensor.graph.replace import vectorize_graph
 from pytensor.tensor.blockwise import Blockwise
-from scipy import optimize, stats
+from scipy import stats
 
 from pymc_features import AffineStructure, ModalDamping, ModalFeature, SpringMassChain, modes, sample
 from pymc_features.exceptions import ModalMatchWarning
 from pymc_features.modal import mac
 from pymc_features.modal.feature import checked_parameters
 from pymc_features.modal.identified import identified
-from pymc_features.modal.matching import Assignment
 from support.graphs import LIGHT, PLAIN, REWRITTEN
 
 UNDAMPED = ModalDamping(0.0)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_assignment_against_scipy(seed):
-    rng = np.random.default_rng(seed)
-    rows = rng.integers(1, 9)
-    score = rng.normal(size=(rows, rows + rng.integers(0, 5)))
-    if seed % 3 == 0:
-        score = np.round(score)  # ties
-    if seed % 3 == 1:
-        score[rng.random(score.shape) < 0.2] = -np.inf
-        score[:, 0] = rng.normal(size=rows)
-    chosen = Assignment()(score).eval(mode=PLAIN)
-    at = optimize.linear_sum_assignment(np.maximum(score, -1e6), maximize=True)
-    assert set(np.unique(chosen)) <= {0.0, 1.0}
-    np.testing.assert_array_equal(chosen.sum(axis=1), 1.0)
-    assert chosen.sum(axis=0).max() <= 1.0
-    found = np.where(chosen > 0, np.maximum(score, -1e6), 0.0).sum()
-    assert found == pytest.approx(np.maximum(score, -1e6)[at].sum(), rel=1e-12, abs=1e-12)
 
 
 def direct(model_modes, data, sigma_f, sigma_phi, m, labels=None):

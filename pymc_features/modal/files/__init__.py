@@ -80,8 +80,7 @@ def read_modal(
     >>> modal, modal.frequencies.round(3), modal.damping_ratios
     (ModalData(2 modes from 1 to 3 Hz, 1 channel), array([1., 3.]), array([0.012, 0.009]))
     """
-    asked = check_names(names)
-    real = check_flag(real, "real")
+    asked, real = check_names(names), check_flag(real, "real")
     if channels is not None and not isinstance(channels, str | Mapping):
         channels = check_texts(channels, "channels", "a sequence of names, or a mapping of names to channels")
     if isinstance(source, str | PathLike):
