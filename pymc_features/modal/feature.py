@@ -218,7 +218,7 @@ def checked_parameters(
         raise TypeError(message("modes", "frequencies (m,) and shapes (m, s)", shown(modes)))
     found = [*listed, *(None, np.zeros((0, 0)), np.zeros(0))[len(listed) :]][:3]
     frequencies, shapes, ratios = found = [as_tensor(x, "modes", advice) for x in found]
-    ndims, n = [x.ndim for x in found], len(listed)
+    ndims = [x.ndim for x in found]
     what = "`modes` must be frequencies (m,), shapes (m, s) and perhaps damping ratios (m,)"
     demand(ndims == [1, 2, 1], what, "{}, {} and {} dimensions".format(*ndims), advice)
     (g, _, s), [m], [_, columns] = data.shapes.shape, frequencies.type.shape, shapes.type.shape
@@ -228,19 +228,15 @@ def checked_parameters(
     demand(not s or columns in (None, s), what, s, "Pass the channels of the data as `sensors`.")
     advice = "Pass the scale of the root of 1 - MAC."
     demand(not s or sigma_phi is not None, "`sigma_phi` must be given with shapes", None, advice)
-    what, got = (
-        "`modes` must have damping ratios (m,) where `sigma_zeta` is given",
-        "frequencies and shapes alone",
-    )
-    demand(data.damping is None or n > 2, what, got, "Pass what `modes` returned.")
+    what = "`modes` must have damping ratios (m,) where `sigma_zeta` is given"
+    is_whole, advice = data.damping is None or len(listed) > 2, "Pass what `modes` returned."
+    demand(is_whole, what, "frequencies and shapes alone", advice)
     if isinstance(density, str):
         what = message("density", f"one of {', '.join(DENSITIES)} or degrees of freedom", shown(density))
         require(density in DENSITIES, what)
     by_entry = isinstance(density, str) and density == BY_ENTRY
-    what, advice = (
-        f'`shapes` must be real for density="{BY_ENTRY}"',
-        "Pass `observed.real()`, or another density.",
-    )
+    what = f'`shapes` must be real for density="{BY_ENTRY}"'
+    advice = "Pass `observed.real()`, or another density."
     demand(not (by_entry and data.is_complex), what, "complex ones", advice)
     sigma_phi, sigma_zeta = (1.0 if sigma is None else sigma for sigma in (sigma_phi, sigma_zeta))
     parameters = Parameters(

@@ -86,12 +86,9 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> dict:
             rows.append((f"{file}, line {number}", [cell.strip() for cell in cells]))
     require(rows, f"{file} must hold modes, it is empty. Save a row for each mode, below a header.")
     (_, header), *body = _upright(file, rows)
-    what, advice = (
-        f"{file} must have the names of its columns in the first line",
-        "Write them above the numbers",
-    )
-    got = f"the number {header[0]!r}"
-    demand(to_number(header[0]) is None, what, got, f"{advice}, frequency among them.")
+    what = f"{file} must have the names of its columns in the first line"
+    got, advice = f"the number {header[0]!r}", "Write them above the numbers, frequency among them."
+    demand(to_number(header[0]) is None, what, got, advice)
     for where, cells in body:
         advice = "Complete or cut the row; a decimal comma must be a point."
         what = f"{where}: rows must have {len(header)} cells like the header"
@@ -101,15 +98,13 @@ def read_table(path: Path, names: dict[str, str], wanted: list | None) -> dict:
         return np.array([_number(cells[place], header[place], at, may_be_complex) for at, cells in body])
 
     below = "{} must hold modes, there is none below its header. Add a row for each {}."
-    of_modes = {match[1]: k for k, label in enumerate(header) if (match := _OF_MODE.fullmatch(label))}
-    if (
-        sum(_OF_MODE.fullmatch(label) is not None for label in header) > 1 and not names
-    ):  # a row for each test
-        table = np.array([column(k) for k in of_modes.values()]).T
+    of_modes = [(match[1], k) for k, label in enumerate(header) if (match := _OF_MODE.fullmatch(label))]
+    if len(of_modes) > 1 and not names:  # a row for each test
+        labels = dict(of_modes)
+        table = np.array([column(k) for k in labels.values()]).T
         there = ~np.isnan(table)
         require(there.any(), below.format(file, "test"))
-        labels = np.tile(list(of_modes), (len(body), 1))[there].tolist()
-        return {"frequencies": table[there], "labels": labels}
+        return {"frequencies": table[there], "labels": np.tile([*labels], (len(body), 1))[there].tolist()}
     places = labelled_quantities(header, names, file)
     for name in sorted({"shapes", "shape_sd", "shapes_imaginary", "channels"} & places.keys()):
         got, advice = f"{header[places[name]]!r} for {name}", "Rename it after its channel."
@@ -232,12 +227,9 @@ def _number(cell: str, label: str, where: str, may_be_complex: bool):
         parts = _COMPLEX.fullmatch(cell.replace(" ", ""))
         numbers = [to_number(part) for part in parts.groups()] if parts else [None]
         number = None if None in numbers else complex(*numbers)
-    shown, advice = (
-        repr(cell if len(cell) <= 60 else f"{cell[:60]}..."),
-        "leave the column out by `channels`.",
-    )
-    what = f"{where}: the column {label!r} must hold numbers"
-    demand(number is not None, what, shown, f"Correct it, or {advice}")
+    what, got = f"{where}: the column {label!r} must hold numbers", cell[:60] + "..." * (len(cell) > 60)
+    advice = "Correct it, or leave the column out by `channels`."
+    demand(number is not None, what, repr(got), advice)
     return number
 
 
@@ -273,11 +265,8 @@ def from_variables(variables: Mapping, source: str, names: dict[str, str]) -> di
     """Modes in a mapping of names to arrays."""
     labels, contents = [str(label) for label in variables], list(variables.values())
     flat = not labels or not all(isinstance(value, Mapping) for value in contents)
-    got, advice = (
-        f"objects inside: {listed(labels)}",
-        "Pass one of these, read by yourself, instead of the file.",
-    )
-    demand(flat, f"{source} must hold named arrays", got, advice)
+    what, advice = f"{source} must hold named arrays", "Pass one of these, read by yourself, instead of"
+    demand(flat, what, f"objects inside: {listed(labels)}", f"{advice} the file.")
     places = labelled_quantities(labels, names, source)
     given = {name: contents[place] for name, place in places.items() if name != "mode"}
     found = mode_values(given, source)

@@ -218,13 +218,10 @@ def _named(found: dict, channels) -> tuple[list[str], list[int]]:
     if isinstance(channels, Mapping):
         known = {name: k for k, name in enumerate(own or [])} | {k: k for k in range(count)}
         keys = [key.strip() if isinstance(key, str) else key for key in channels.values()]
-        is_known = [is_among(key, known) for key in keys]
+        others = [*(key for key in keys if not is_among(key, known)), None]
         what = listed(own) if own else f"0 to {count - 1}, without names"
-        what, got = (
-            f"`channels` must be among those of the source ({what})",
-            repr([*keys, None][[*is_known, False].index(False)]),
-        )
-        demand(all(is_known), what, got, "Pass the name or the number (from 0) of one.")
+        what = f"`channels` must be among those of the source ({what})"
+        demand(len(others) == 1, what, repr(others[0]), "Pass the name or the number (from 0) of one.")
         return [str(name) for name in channels], [known[key] for key in keys]
     if own is not None:
         return names, find_channels(names, own, "the source")
