@@ -42,7 +42,7 @@ LAST = ["test_jax.py", "test_pages.py", "test_recipes.py", "test_notebooks.py", 
 
 KERNELS = "simulators", "dynamics", "ops"  # whose tests compile most kernels
 YIELDING = re.compile("cyclic|hysteretic|nonlinear|spans|springs|taylor")  # few parts in common
-CROSS_CHECKED = {"inference", "documents", "test_building_example.py"}
+CROSS_CHECKED = {"inference", "test_building_example.py"}
 FEW_KERNELS = {"io", "identification", "signals", "modal", "external", "events"}
 FEW_KERNELS |= {"test_layout.py", "test_odd_arguments.py", "test_cli.py", "test_packaging.py"}
 
@@ -107,7 +107,7 @@ def quick_mode(all_rewrites):
 def pytest_runtest_protocol(item):
     """Tests, and their fixtures, compile quickly; examples and `default_mode` as users do.
 
-    The check behind each run of `sample`, two fifths of it, is for the tests of the sampler and of the pages.
+    The check behind each run of `sample`, two fifths of it, is for the tests of the sampler.
     """
     import pytensor
 

@@ -4,15 +4,15 @@ import importlib.util
 import json
 import re
 import shlex
-import sys
 
 import numpy as np
 import pymc as pm
+import pytensor
 import pytest
 
 import pymc_features
 from pymc_features.update.config.keys import SCHEMA
-from support.commands import GARBAGE, ROOT, run
+from support.commands import ROOT
 from support.pages import PAGES, README, blocks, script
 
 
@@ -24,28 +24,30 @@ def from_docs(name: str):
     return module
 
 
-@pytest.mark.processes
-def test_code_of_readme_and_pages_runs():
-    """Each page goes on from the README, in one process; those without machine code of PyTensor's."""
+@pytest.fixture(scope="module")
+def readme():
+    """The names of the README's code, compiled as users do it."""
     model, expected = blocks(README, "python")
     assert len([line for line in model.splitlines() if line.strip()]) <= 15
     assert expected.count("assert_allclose") == 2
-    pages = {path.name: script(path) for path in (README, *PAGES)}
-    assert sum(bool(code) for code in pages.values()) >= 5
-    code = (
-        f"import gc; gc.set_threshold(*{GARBAGE})\n"
-        "import json, sys; pages = json.load(sys.stdin); readme = {}; exec(pages.pop('README.md'), readme)\n"
-        "import pytensor; pytensor.config.mode = 'FAST_COMPILE'\n"
-        "for name, page in pages.items(): exec(compile(page, name, 'exec'), dict(readme))"
-    )
-    run(sys.executable, "-c", code, input=json.dumps(pages))
+    names = {}
+    with pytensor.config.change_flags(mode="Mode"):
+        exec(script(README), names)
+    return names
+
+
+@pytest.mark.processes
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("page", [page for page in PAGES if script(page)], ids=lambda page: page.name)
+def test_code_of_a_page_runs(page, readme):
+    """Each page goes on from the README."""
+    exec(compile(script(page), page.name, "exec"), dict(readme))
 
 
 @pytest.mark.slow
-@pytest.mark.default_mode
 @pytest.mark.filterwarnings("ignore")
 def test_nuts_splits_its_chains_where_sample_does_not():
-    """As the page on sampling says, which needs the speed of compiled graphs."""
+    """As the page on sampling says."""
     pytest.importorskip("nutpie")
     code = "\n".join(blocks(ROOT / "docs" / "sampling.md", "python alone"))
     exec(

@@ -5,8 +5,10 @@ import runpy
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from pymc_features import cli
+from support.blank_figures import blank
 from support.commands import ROOT
 from support.pages import sections
 
@@ -59,10 +61,10 @@ def typed(command: str, capsys) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.default_mode
 @pytest.mark.filterwarnings("ignore")
 def test_the_tutorial_gives_its_numbers(tmp_path, monkeypatch, capsys):
     """Files, commands, what they say, and Python in the order of the page, in an empty folder."""
+    monkeypatch.setattr(Figure, "savefig", blank)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
     config, output, names, kinds = tmp_path / "update.toml", "", {}, []
