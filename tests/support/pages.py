@@ -34,7 +34,7 @@ def script(path: Path, kind: str = "python") -> str:
     code = "\n".join(content for found, content in sections(path) if found == kind or can_run(found, kind))
     for ours, theirs in (
         ("chains=2", f"chains={2 if path == README else 1}, cores=1, progressbar=False"),
-        ("sample_nuts(1000", "sample_nuts(150, tune=100, chains=2, cores=1, progressbar=False"),
+        ("sample_nuts(1000", "sample_nuts(100, tune=50, chains=2, cores=1, progressbar=False"),
         ("timeout=60.0, executor=2", "timeout=60.0, executor=1"),
     ):
         code = code.replace(ours, theirs)

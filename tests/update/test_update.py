@@ -110,11 +110,10 @@ def test_an_executor_gives_the_same_draws(example, finished, tmp_path, capsys, m
     monkeypatch.setattr(Run, "some_are_ready", lambda self, work: True)
     monkeypatch.setattr(Run, "elsewhere", counted)
     with ThreadPoolExecutor(1) as pool:
-        run_update(read_problem(path), out=out, cores=1, executor=pool, progressbar=False)
+        parts, _ = sampling.run_parts(read_problem(path), Running(cores=1, executor=pool))
     assert sum(spread) > 300
-    paths = [folder / "parts" / "EXP.nc" for folder in (finished, out)]
-    one, two = (xr.open_dataset(path, group="posterior", engine="h5netcdf").load() for path in paths)
-    assert one.equals(two)
+    with xr.open_dataset(finished / "parts" / "EXP.nc", group="posterior", engine="h5netcdf") as expected:
+        assert expected.load().equals(parts["EXP"]["posterior"].to_dataset())
 
 
 @pytest.mark.slow
