@@ -68,9 +68,9 @@ def run_cells(sources, folder, errors):
 def test_notebook_runs(path, tmp_path):
     """With half the draws that its cell with the tag `parameters` asks for, of many an eighth.
 
-    Without machine code of PyTensor's: the kernels do the work, and the rest takes longer to compile. Without
-    the check behind each run of `sample`, which has tests of its own. Each in a process of its own, forked from
-    one that has imported what they need.
+    Without machine code of PyTensor's: the kernels do the work, and the rest takes longer to compile.
+    Without the check behind each run of `sample`, which has tests of its own. Each in a process of its
+    own, forked from one that has imported what they need.
     """
     notebook = nbformat.read(path, as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "commit notebooks without outputs"
