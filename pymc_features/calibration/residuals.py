@@ -18,7 +18,6 @@ import numpy as np
 import pytensor.tensor as pt
 from pymc.distributions import transforms
 from pymc.pytensorf import compile as compile_function
-from pytensor.compile.mode import Mode
 from pytensor.graph.basic import Constant
 from pytensor.tensor.random.basic import NormalRV
 from scipy.special import expit, logit
@@ -27,6 +26,7 @@ from pymc_features.inference.parameters import Unconstrained
 from pymc_features.likelihoods.correlated import CorrelatedNormalRV
 from pymc_features.likelihoods.mean_square import FeatureRV
 from pymc_features.ops import frequencies_behind, measured_samples, noisy_base, response_step
+from pymc_features.ops.declared import IN_PYTHON
 from pymc_features.smc.density.rows import with_mode
 
 MOST = 0.4  # share of the record in gaps of one sensor or another; of more the intervals become too narrow
@@ -160,7 +160,7 @@ def comparisons(model) -> list[Comparison]:
         one = comparison(rv.owner.op, rv, data)._replace(name=rv.name)
         if np.isnan(one.step):
             one = one._replace(step=response_step(one.mu, at_present=True) or np.nan)
-        gaps = np.isnan(data.eval(mode=Mode(linker="py", optimizer=None)))
+        gaps = np.isnan(data.eval(mode=IN_PYTHON))
         if gaps.any() and not isinstance(rv.owner.op, FeatureRV):
             raise ValueError(
                 f"`model` must have data without gaps, got NaN in {rv.name}. Leave them out by a feature "

@@ -11,7 +11,6 @@ import numpy as np
 import pytensor
 import pytensor.tensor as pt
 from pymc.distributions.simulator import SimulatorRV
-from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Constant
 from scipy.optimize import linear_sum_assignment
@@ -23,6 +22,7 @@ from pymc_features.modal.identified import Identified
 from pymc_features.modal.matching import Assignment, one_minus_mac
 from pymc_features.modal.structural_modes import StructuralModes
 from pymc_features.ops import NoGradient, StructuralResponse, mean_square_discrepancy, measured_samples
+from pymc_features.ops.declared import IN_PYTHON
 
 ADVICE = (
     "Sample with pmf.sample_smc(), or choose a gradient-free method yourself: "
@@ -242,7 +242,7 @@ def number(variable):
     elif isinstance(variable, Constant):
         value = variable.data
     else:
-        value = variable.eval(mode=Mode(linker="py", optimizer=None))
+        value = variable.eval(mode=IN_PYTHON)
     value = np.asarray(value)
     return value.item() if value.ndim == 0 else value
 

@@ -42,12 +42,11 @@ from pymc_features.modal.matching import (
 )
 from pymc_features.modal.structural_modes import SymbolicModes
 from pymc_features.ops import as_tensor, known_dims
-from pymc_features.ops.declared import cheap_values_at_start, positive_tensor, values_at_start
+from pymc_features.ops.declared import IN_PYTHON, cheap_values_at_start, positive_tensor, values_at_start
 
 BY_ENTRY = "NORMAL"  # the law of each entry of a shape
 #: Degrees of freedom of 1 - MAC, which count for nothing by entry.
 DENSITIES = {"TN": 1.0, "EXP": 2.0, BY_ENTRY: 1.0}
-ONCE = Mode(linker="py", optimizer=None)
 OFTEN = Mode(linker="py", optimizer="fast_run")
 ROWS = 256  # draws in one call
 
@@ -272,7 +271,7 @@ def partners_of(rv) -> tuple[list[str], dict[str, TensorVariable]]:
     """
     model, p = pm.modelcontext(None), Parameters(*rv.owner.inputs[2:])
     value, (there, _, masks) = model.rvs_to_values[rv], p.split(p.known)
-    known = there.eval(mode=ONCE)
+    known = there.eval(mode=IN_PYTHON)
     rows, several = np.nonzero(known), known.sum(axis=1) > 1
     dim, *_ = model.named_vars_to_dims.get(rv.name, (None,))
     labels = model.coords.get(dim) or range(len(known))

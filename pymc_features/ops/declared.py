@@ -8,7 +8,7 @@ from pytensor.graph.traversal import ancestors
 from pytensor.tensor import TensorVariable
 
 from pymc_features._checks import message, shown
-from pymc_features.structures.base import as_tensor
+from pymc_features.structures.base import IN_PYTHON, as_tensor
 
 
 def positive_tensor(
@@ -35,7 +35,7 @@ def values_at_start(variables, model: pm.Model | None = None) -> list[np.ndarray
     function = model.compile_fn(
         model.replace_rvs_by_values(variables),
         inputs=model.value_vars,
-        mode="FAST_COMPILE",
+        mode=IN_PYTHON,
         on_unused_input="ignore",
     )
     return function(model.initial_point())

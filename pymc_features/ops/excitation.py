@@ -3,7 +3,6 @@
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
-from pytensor.compile.mode import Mode
 from pytensor.compile.sharedvalue import SharedVariable
 from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
@@ -12,11 +11,11 @@ from pymc_features import band_limited
 from pymc_features.simulators.excitation import excitation_of, own_values, refined_request, request_of_family
 from pymc_features.simulators.families import NONLINEAR
 from pymc_features.simulators.oscillators.arguments import Excitation
+from pymc_features.structures.base import IN_PYTHON
 
 N_DRAWS, N_SPARSE = 20, 4  # structures of the prior whose modes are looked at; of sparse ones modes cost more
 STARTS = 4  # place of the pattern's starts among the constants of linear structures
 UNKNOWN = 4  # refinement where the prior cannot be drawn from
-IN_PYTHON = Mode(linker="py", optimizer=None)  # nothing is compiled for twenty draws
 
 
 def request_in_model(structure, record, asked):

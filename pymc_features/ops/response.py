@@ -36,6 +36,7 @@ from pymc_features.simulators import (
 )
 from pymc_features.simulators.excitation import excitation_of, frequencies_of
 from pymc_features.structures import Structure
+from pymc_features.structures.base import IN_PYTHON
 
 
 class StructuralResponse(StructuralOp):
@@ -286,5 +287,5 @@ def response_step(variable: TensorVariable, *, at_present: bool = False) -> floa
     except pt.exceptions.NotScalarConstantError:
         if not at_present or any(explicit_graph_inputs(inputs)):
             return None
-        dt, substeps, stride = (np.ravel(x.eval(mode="FAST_COMPILE"))[0] for x in inputs)
+        dt, substeps, stride = (np.ravel(x.eval(mode=IN_PYTHON))[0] for x in inputs)
     return float(dt) * int(stride) / int(substeps)

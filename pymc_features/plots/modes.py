@@ -233,12 +233,12 @@ def constants(variables) -> list[np.ndarray]:
     from pytensor.graph.basic import Constant
     from pytensor.graph.traversal import ancestors
 
-    from pymc_features.modal.feature import ONCE
+    from pymc_features.modal.feature import IN_PYTHON
 
     if any(v.owner is None and not isinstance(v, Constant) for v in ancestors(variables)):
         advice = "Pass the shapes of draws, or build the structure with numbers."
         raise TypeError(message("shapes", "modes of numbers", "those of random variables", advice))
-    return [variable.eval(mode=ONCE) for variable in variables]
+    return [variable.eval(mode=IN_PYTHON) for variable in variables]
 
 
 def indices(name: str, values, n: int, most: int, what: str) -> np.ndarray:

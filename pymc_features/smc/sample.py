@@ -179,8 +179,8 @@ def is_parallel_by_itself(model) -> bool:
     """Whether something in the model takes many processors for one chain."""
     for v in ancestors([*model.basic_RVs, *model.potentials]):
         op = getattr(v.owner, "op", None)
-        fn = getattr(op, "fn", None)  # of a simulator node; with noise there is another inside
-        inner = getattr(getattr(fn, "simulator", fn), "op", None)
+        fn = op.fn if isinstance(op, SimulatorRV) else None  # another Op may compile itself if asked for `fn`
+        inner = getattr(getattr(fn, "simulator", fn), "op", None)  # with noise there is another inside
         if getattr(op, "expensive", False) or getattr(inner, "expensive", False):
             return True
     return False

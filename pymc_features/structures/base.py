@@ -30,7 +30,8 @@ from pymc_features.records import DynamicLoad, Record
 type Values = ArrayLike | Variable | Sequence[float | Variable]
 
 NUMBERS = "numbers or PyTensor variables"
-PLAIN = Mode(linker="py", optimizer=None)  # nothing to compile
+# Of what is evaluated once: nothing is compiled, while rewrites that fold constants compile C code for each.
+IN_PYTHON = Mode(linker="py", optimizer=None)
 
 
 # ---- arguments ----
@@ -262,7 +263,7 @@ def computed_length(vector) -> int | None:
                 return None
         elif isinstance(variable.owner.op, RandomVariable):
             return None
-    return int(length.eval(mode=PLAIN))
+    return int(length.eval(mode=IN_PYTHON))
 
 
 # ---- structures ----
