@@ -40,6 +40,7 @@ from pymc_features.ops.long_records import hash_of_data, is_known_long
 from pymc_features.ops.population import PopulationDiscrepancy, PopulationGradient, PopulationMisfit
 from pymc_features.ops.response import StructuralResponse
 from pymc_features.simulators.compiled.dependencies import source_hash
+from pymc_features.simulators.compiled.jit import Kernel
 from pymc_features.simulators.families import count
 from pymc_features.simulators.linear.known import KNOWN
 from pymc_features.simulators.long_records.misfits import Tables
@@ -69,7 +70,7 @@ def cache_key(op, data="") -> str:
     PyTensor's own key sees neither: an edited kernel would silently run old code. A kernel that runs in
     Python is not part of the machine code.
     """
-    kernel = source_hash(op.kernel.__module__) if op.spec.compiled else ""
+    kernel = source_hash(op.kernel.py_func.__module__) if is_compiled(op) else ""
     return default_hash_key_from_props(op, kernel=kernel, dispatch=DISPATCH_HASH, data=data)
 
 
@@ -90,15 +91,18 @@ def _prepared(arrays):
 def funcify(op, node=None, **kwargs):
     """Return the Op's kernel with its quantity bound.
 
-    One structure, or a population that Python calls anyway, takes a long record from the table of its node.
-    If its data are no constants, the machine code is not kept.
+    A long record is taken from the table of its node. If its data are no constants, the machine code is not
+    kept.
     """
-    has_table = is_known_long(op, node) and not (op.spec.compiled and op.batched)
-    if has_table:
+    if is_known_long(op, node):
         data = hash_of_data(op, node)
         return in_python(op, node, Tables()), data and cache_key(op, data)
-    in_machine_code = op.spec.compiled and not op.takes_directions  # along these, Python calls responses
-    return (compiled(op) if in_machine_code else in_python(op, node)), cache_key(op)
+    return (compiled(op) if is_compiled(op) else in_python(op, node)), cache_key(op)
+
+
+def is_compiled(op) -> bool:
+    """Whether compiled code can call the Op's kernel; others are functions of Python that call some."""
+    return isinstance(op.kernel, Kernel)
 
 
 @functools.cache

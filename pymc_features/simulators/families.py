@@ -4,6 +4,8 @@ All kernels take three named tuples, and some take more behind them: the paramet
 family, see `arguments`; the `Excitation`; and the `Outputs` wanted.
 
 response                -                                   the history (s, u)
+history                 -                                   the same for Python, by the machine code of
+                                                            populations; may lack
 discrepancy             data (s, u)                         mean squares (s,) of the misfit, Eq. (3)
 misfit                  data                                its statistics (s, 4), see `chain_misfit`
 response_gradient       cotangent W (s, u)                  gradient of sum W y by each parameter
@@ -14,8 +16,7 @@ population_discrepancy  data                                (p, s), with paramet
 population_misfit       data                                (p, s, 4)
 population_systems      data                                modes, see `long_records`, or None; may lack
 population_gradient     data, weights (p, s, 1) or (.., 4)  gradients in the shapes of the parameters
-discrepancy_gradient    data, weights (s, 1)                as misfit_gradient; of a population (p, s, 1)
-                                                            as population_...; both may lack
+discrepancy_gradient    data, weights (s, 1)                as misfit_gradient; may lack
 gradient_systems        data                                modes of those of whom there is the following
 gradient_of_sums        sums over time, see `reduction`     as population_gradient; both may lack
 
@@ -33,13 +34,13 @@ from scipy import sparse
 from pymc_features.simulators.chain.kernels import (
     chain_discrepancy,
     chain_gradient_of_sums,
+    chain_history,
     chain_misfit,
     chain_response,
     chain_systems,
     discrepancy_gradient,
     misfit_gradient,
     population_discrepancy,
-    population_discrepancy_gradient,
     population_gradient,
     population_misfit,
     response_gradient,
@@ -99,8 +100,6 @@ class Family(NamedTuple):
     excitation, sensors : str
         Shapes: one ground acceleration (of a specimen: its displacement) or several inputs; degrees of
         freedom, or a matrix S of outputs.
-    compiled : bool
-        Whether the kernels can be called from compiled code.
     asks_what_is_sought : bool
         Whether the gradients take names of what they are wanted by, for each number costs responses.
     modal : dict
@@ -115,7 +114,6 @@ class Family(NamedTuple):
     integers: tuple[str, ...] = ()
     excitation: str = "t"
     sensors: str = "s"
-    compiled: bool = False
     asks_what_is_sought: bool = False
     modal: dict[str, Callable] = {}  # noqa: RUF012
 
@@ -128,6 +126,11 @@ class Family(NamedTuple):
             | {"acceleration": self.excitation, "dt": "", "substeps": "", "stride": "", "direct": "o,i,v"}
             | {"sensors": self.sensors, "n_modes": ""}
         )
+
+    @property
+    def history(self) -> Callable:
+        """The response as Python calls it."""
+        return self.kernels.get("history", self.kernels["response"])
 
     def of_squares(self, name: str) -> Callable:
         """The kernel of a name, or the smaller one of mean squares alone, where there is one."""
@@ -191,8 +194,8 @@ FAMILIES = {
             "response_gradient": response_gradient,
             "misfit_gradient": misfit_gradient,
             "discrepancy_gradient": discrepancy_gradient,
-            "population_discrepancy_gradient": population_discrepancy_gradient,
-            **tangents(chain_response, 4, SMOOTH),
+            "history": chain_history,
+            **tangents(chain_history, 4, SMOOTH),
             "population_discrepancy": population_discrepancy,
             "population_misfit": population_misfit,
             "population_systems": chain_systems,
@@ -200,7 +203,6 @@ FAMILIES = {
             "gradient_systems": chain_systems,
             "gradient_of_sums": chain_gradient_of_sums,
         },
-        compiled=True,
         modal=OF_CHAINS | {"modes": chain_population_modes, "modes_gradient": chain_modes_gradient},
     ),
     "linear": Family(

@@ -146,7 +146,7 @@ def respond(structure, record, asked, rows) -> np.ndarray:
     family = FAMILIES[structure.family]
     combined = rows.ndim == 2 and not family.takes_outputs
     picked = np.arange(structure.n_dof) if combined else family.rows(rows, structure.n_dof)
-    kernel = family.kernels["response"]
+    kernel = family.history
     if structure.family == "linear":  # keeps its modes from one response to the next
         modes = structure.modes(asked.n_modes)
         kernel = partial(response_in_modes, modes.angular_frequencies, modes.mode_shapes)

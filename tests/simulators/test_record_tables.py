@@ -23,7 +23,7 @@ from pymc_features import (
     simulate,
 )
 from pymc_features.ops import long_records
-from pymc_features.simulators import FAMILIES, QUANTITIES
+from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.long_records import misfits
 from pymc_features.smc.density.evaluation import population_logp
 from support.graphs import PLAIN
@@ -172,12 +172,6 @@ NO_TABLE = {
 @pytest.mark.parametrize("asked", NO_TABLE.values(), ids=NO_TABLE)
 def test_what_a_table_cannot_do_is_marched(asked):
     check_marched(Case(**asked))
-
-
-def test_what_is_marched_is_marched_by_the_kernel_of_the_op(monkeypatch):
-    """Another one for the same sums has other last bits on some machines."""
-    monkeypatch.setitem(FAMILIES["chain"].kernels, "population_gradient", None)
-    check_marched(Case(observed=with_gap))
 
 
 def test_several_inputs_and_coupled_modes_are_marched():

@@ -51,6 +51,18 @@ def zeros_like(parameters):
 
 
 @jit
+def as_population(parameters):
+    """The parameters of one chain, or arrays of their shapes, as rows of a population of one."""
+    mass, stiffness, rayleigh, ratios = parameters
+    return ChainParameters(
+        mass.reshape((1, mass.size)),
+        stiffness.reshape((1, stiffness.size)),
+        rayleigh.reshape((1, rayleigh.size)),
+        ratios.reshape((1, ratios.size)),
+    )
+
+
+@jit
 def check_sizes(parameters, wanted):
     """Refuse inputs whose sizes would make the kernels read outside their arrays."""
     mass, stiffness, rayleigh, ratios = parameters
@@ -70,6 +82,21 @@ def check_history(history, excitation, wanted):
     total = n_outputs(excitation.acceleration.size, excitation.substeps, excitation.stride)
     if history.shape[0] != wanted.sensors.size or history.shape[1] != total:
         raise ValueError("`observed` or the cotangent must have the shape (sensor, time) of the response")
+
+
+@jit
+def check_population(parameters, excitation, wanted, observed):
+    """Refuse inputs whose sizes do not agree; return the number of particles."""
+    check_sizes(own_rows(parameters, 0), wanted)
+    check_history(observed, excitation, wanted)
+    mass, stiffness, rayleigh, ratios = parameters
+    n_particles = max(mass.shape[0], stiffness.shape[0], rayleigh.shape[0], ratios.shape[0])
+    for size in (mass.shape[0], stiffness.shape[0], rayleigh.shape[0], ratios.shape[0]):
+        if size != 1 and size != n_particles:
+            raise ValueError(
+                "`mass`, `stiffness`, `rayleigh` and `ratios` must have one row, or one for each particle"
+            )
+    return n_particles
 
 
 @jit

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pymc_features.simulators.chain.modes import is_chain, is_graded
-from pymc_features.simulators.chain.parameters import check_history, check_sizes, own_rows
+from pymc_features.simulators.chain.parameters import own_rows
 from pymc_features.simulators.compiled.arrays import ascending
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.eigen.tridiagonal import (
@@ -128,21 +128,6 @@ class ModeLanes(NamedTuple):
     participation: np.ndarray
     off_diagonal: np.ndarray
     vectors: np.ndarray
-
-
-@jit
-def check_population(parameters, excitation, wanted, observed):
-    """Refuse inputs whose sizes do not agree; return the number of particles."""
-    check_sizes(own_rows(parameters, 0), wanted)
-    check_history(observed, excitation, wanted)
-    mass, stiffness, rayleigh, ratios = parameters
-    n_particles = max(mass.shape[0], stiffness.shape[0], rayleigh.shape[0], ratios.shape[0])
-    for size in (mass.shape[0], stiffness.shape[0], rayleigh.shape[0], ratios.shape[0]):
-        if size != 1 and size != n_particles:
-            raise ValueError(
-                "`mass`, `stiffness`, `rayleigh` and `ratios` must have one row, or one for each particle"
-            )
-    return n_particles
 
 
 @jit

@@ -22,9 +22,11 @@ from numba.core.caching import CacheImpl, _CacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
+from numba.core.imputils import lower_constant
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
 from numba.core.types import Dispatcher as DispatcherType
+from numba.extending import models, register_model
 from numba.misc.appdirs import AppDirs
 
 from pymc_features.simulators.compiled.dependencies import source_hash
@@ -78,6 +80,21 @@ class PartDispatcher(CPUDispatcher):
         self.overloads[tuple(cres.signature.args)] = cres
 
 
+class PartType(DispatcherType):
+    """Type of a part. It may be an argument of another part, of which code is kept on disk all the same.
+
+    Numba would put an address into that code, which no other process knows; who calls reads the type only.
+    """
+
+
+register_model(PartType)(models.OpaqueModel)
+
+
+@lower_constant(PartType)
+def _part_constant(context, builder, kind, value):
+    return context.get_dummy_value()
+
+
 class Kernel(CPUDispatcher):
     """A kernel as Python calls it: machine code of its own, kept on disk."""
 
@@ -94,7 +111,7 @@ class Kernel(CPUDispatcher):
 
     @property
     def _numba_type_(self):
-        return DispatcherType(self.part)
+        return PartType(self.part)
 
 
 # Everything but `nnan` and `ninf`: the kernels rely on NaN and infinity to reject bad parameters.

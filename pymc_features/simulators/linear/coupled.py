@@ -23,12 +23,10 @@ from pymc_features.simulators.eigen.pair_gradients import (
     poles_apart,
 )
 from pymc_features.simulators.linear.dense_structures import (
-    DenseLanes,
+    changes_of,
     n_structures,
-    new_dense,
-    new_gradients,
-    new_together,
-    solve_together,
+    solve_classical,
+    structures_together,
 )
 from pymc_features.simulators.numbers.compiled_numbers import (
     in_lanes,
@@ -40,6 +38,7 @@ from pymc_features.simulators.numbers.compiled_numbers import (
 )
 from pymc_features.simulators.numbers.rows import view
 from pymc_features.simulators.numbers.vectors import new_vectors
+from pymc_features.simulators.oscillators.evaluation import new_derivatives, new_lanes
 from pymc_features.simulators.oscillators.march import evaluate, new_walk
 from pymc_features.simulators.oscillators.modal_lanes import ModalLanes, clear, new_modal_lanes, new_rows
 from pymc_features.simulators.oscillators.modal_system import highest_coupled_step
@@ -58,10 +57,8 @@ class CoupledLanes(NamedTuple):
 
     Attributes
     ----------
-    dense : DenseLanes
-        With their classical modes.
-    lot : ModalLanes
-        Of the pairs of complex modes, each twice.
+    classical, lot : ModalLanes
+        Of the classical modes, and of the pairs of complex modes, each twice.
     memory, pairs : array, Pairs
         The memory of the pairs, and these.
     damping, half, modal : array (n n, LANES), (m n, LANES), (m m, LANES)
@@ -70,7 +67,7 @@ class CoupledLanes(NamedTuple):
         omega and D from where a mode is too fast to be stepped [1/s].
     """
 
-    dense: DenseLanes
+    classical: ModalLanes
     lot: ModalLanes
     memory: np.ndarray
     pairs: Pairs
@@ -81,34 +78,35 @@ class CoupledLanes(NamedTuple):
 
 
 @jit
-def new_coupled(parameters, excitation, wanted, with_gradients, room, samples, widths):
-    """Lanes for structures; `room` is for their eigenproblems."""
-    dense = new_dense(parameters, excitation, wanted, with_gradients, room, samples, widths)
+def new_coupled(structures, excitation, with_gradients, samples):
+    """Lanes for structures."""
+    classical, wanted = new_lanes(structures, excitation, with_gradients, samples), structures.wanted
     (s, n), m, step = wanted.sensors.shape, wanted.n_modes, excitation.dt / excitation.substeps
     sizes, request = (2 * m, 2 * m, 2 * m, s), (step, wanted.quantity)
-    lot = new_modal_lanes(sizes, dense.lot.motion, (False, True), samples, request, widths)
+    lot = new_modal_lanes(sizes, classical.motion, (False, True), samples, request, structures.widths)
     modal, damping, half = new_vectors(m * m), new_vectors(n * n), new_vectors(m * n)
-    memory, pairs = new_pairs(dense.lot, modal, with_gradients)
+    memory, pairs = new_pairs(classical, modal, with_gradients)
     highest = highest_coupled_step(excitation) / step
-    return CoupledLanes(dense, lot, memory, pairs, damping, half, modal, highest)
+    return CoupledLanes(classical, lot, memory, pairs, damping, half, modal, highest)
 
 
 @jit
-def solve_coupled(lanes, room, parameters, wanted, place, cancelling, widths):
+def solve_coupled(lanes, structures, place, cancelling):
     """Find the complex modes of structures `first` ... of `count`; returns one in lanes that came out right.
 
     `cancelling` is that of `find_pairs`.
     """
-    dense, at, lot, like = lanes.dense, lanes.pairs, lanes.lot, widths.structure
-    solve_together(dense, room, parameters, wanted, place)
-    n, present, squares = wanted.sensors.shape[1], new_vectors(1), view(dense.lot.squares, like)
+    classical, at, lot, like = lanes.classical, lanes.pairs, lanes.lot, structures.widths.structure
+    solve_classical(structures, classical, place)
+    n, present, squares = structures.influence.shape[0], new_vectors(1), view(classical.squares, like)
     for lane in range(lot.is_there.size):
-        present[0, lane] = 1.0 if dense.lot.is_there[lane] else 0.0
+        present[0, lane] = 1.0 if classical.is_there[lane] else 0.0
     for r in range(at.m):
         at.omega[r] = square_root(squares[r])
-    assemble_lanes(parameters.damping, room.structures.theta, n, True, lanes.damping)
-    project(lanes, n)
-    good = check_damping(lanes, room.structures.mass, view(present, like)[0])
+    solved, own, _ = structures.room
+    assemble_lanes(structures.parameters.damping, own.theta, n, True, lanes.damping)
+    project(lanes, solved.rows, n)
+    good = check_damping(lanes, own.mass, view(present, like)[0])
     write_forced(lanes)
     return find_pairs(lot, at, good, cancelling)
 
@@ -127,9 +125,9 @@ def keep_lanes(lanes, good):
 
 
 @jit
-def project(lanes, n):
-    """Write D = Phi'C Phi."""
-    rows, m = lanes.dense.rows, lanes.pairs.m
+def project(lanes, rows, n):
+    """Write D = Phi'C Phi, the rows those of Phi'."""
+    m = lanes.pairs.m
     multiply_lanes((rows, n, 1), (lanes.damping, n, 1), (m, n, n), lanes.half)
     multiply_lanes((lanes.half, n, 1), (rows, 1, n), (m, n, m), lanes.modal)
 
@@ -160,13 +158,13 @@ def check_damping(lanes, mass, good):
 @jit
 def write_forced(lanes):
     """Write S iota less S Phi Gamma at the sensors; with all modes it is known without its rounding error."""
-    dense, at, like = lanes.dense.lot, lanes.pairs, in_lanes(0.0)
-    forced, by_forces = view(lanes.lot.forced, like), view(dense.forced, like)
+    classical, at, like = lanes.classical, lanes.pairs, in_lanes(0.0)
+    forced, by_forces = view(lanes.lot.forced, like), view(classical.forced, like)
     for j in range(at.s):
-        total = dense.motion[j, 0] + like
+        total = classical.motion[j, 0] + like
         for r in range(at.m):
             total = total - at.shapes[j * at.m + r] * at.participation[r]
-        forced[j] = by_forces[j] if dense.is_complete else total
+        forced[j] = by_forces[j] if classical.is_complete else total
 
 
 @jit
@@ -193,12 +191,11 @@ def march_coupled(parameters, excitation, wanted, observed, n_statistics):
     """
     count, (s, n_times), widths = n_structures(parameters), observed.shape, of_population()
     result, history = np.empty((count, s, n_statistics)), np.empty((0, 0))
-    is_written, room = np.zeros(count, dtype=np.bool_), new_together(parameters)
+    is_written, structures = np.zeros(count, dtype=np.bool_), structures_together(parameters, wanted)
     walk = new_walk(excitation, observed, n_times, 2 * wanted.n_modes, s, widths)
-    lanes = new_coupled(parameters, excitation, wanted, False, room, walk.samples, widths)
+    lanes = new_coupled(structures, excitation, False, walk.samples)
     for first in range(0, count, lanes.lot.is_there.size):
-        place = first, count
-        keep_lanes(lanes, solve_coupled(lanes, room, parameters, wanted, place, CANCELLING, widths))
+        keep_lanes(lanes, solve_coupled(lanes, structures, (first, count), CANCELLING))
         evaluate(lanes.lot, walk, history, first, result, widths)
         for lane in range(min(lanes.lot.is_there.size, count - first)):
             is_written[first + lane] = lanes.lot.is_there[lane]
@@ -223,25 +220,25 @@ def add_coupled_gradients(parameters, excitation, wanted, observed, weights, gra
     n, count, widths = wanted.n_modes, weights.shape[0], of_population()
     is_done, like = np.zeros(count, dtype=np.bool_), widths.wide
     walk = new_gradient_walk(excitation, observed, False, True, 2 * n, new_dual(like, like, like), widths)
-    room = new_together(parameters)
-    lanes = new_coupled(parameters, excitation, wanted, True, room, walk.samples, widths)
-    dense, lot, at = lanes.dense, lanes.lot, lanes.pairs
-    found = new_gradients(dense, parameters, widths)
+    structures = structures_together(parameters, wanted)
+    lanes = new_coupled(structures, excitation, True, walk.samples)
+    classical, lot, at = lanes.classical, lanes.lot, lanes.pairs
+    reduced, spread, changes = new_derivatives(classical, changes_of(parameters), widths)
     terms, by_damping, matrices = terms_of(parameters.damping, n), new_rows(n * n + 4, like), new_pair_room(n)
     duration = observed.shape[1] * excitation.stride * lot.step
     for first in range(0, count, lot.is_there.size):
-        good = solve_coupled(lanes, room, parameters, wanted, (first, count), CANCELLING_SLOPES, widths)
+        good = solve_coupled(lanes, structures, (first, count), CANCELLING_SLOPES)
         keep_lanes(lanes, good * poles_apart(at, duration))
         bring(lot, walk, weights, first)
         sum_history(lot, walk, widths)
         complete_sums(at, lot, walk.found)
-        derive_matrices(at, wanted.quantity, found.reduced, by_damping, matrices)
-        spread, own = found.spread, parameters.influence
-        spread_to_theta(dense.lot, found.reduced, found.stiffness, found.mass, own, spread, widths)
-        by_modes, rows = view(by_damping, like), view(dense.lot.at, like)
-        add_terms(terms, by_modes, rows, dense.lot, spread, own, False, widths)
+        derive_matrices(at, wanted.quantity, reduced, by_damping, matrices)
+        own = parameters.influence
+        spread_to_theta(classical, reduced, changes.stiffness, changes.mass, own, spread, widths)
+        by_modes, rows = view(by_damping, like), view(classical.at, like)
+        add_terms(terms, by_modes, rows, classical, spread, own, False, widths)
         for lane in range(lot.is_there.size):
             if lot.is_there[lane]:
                 is_done[first + lane] = True
-                gradient[(first + lane) % gradient.shape[0]] += found.spread.by_theta[:, lane]
+                gradient[(first + lane) % gradient.shape[0]] += spread.by_theta[:, lane]
     return is_done

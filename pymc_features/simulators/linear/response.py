@@ -18,9 +18,9 @@ from pymc_features.simulators.linear.dense_structures import (
 from pymc_features.simulators.linear.oscillators import march_modes
 from pymc_features.simulators.linear.state_space import response_of
 from pymc_features.simulators.linear.system import is_coupled, observe, solve_system, solved, solved_alone
-from pymc_features.simulators.long_records.systems import Systems, new_systems, put_modes
 from pymc_features.simulators.oscillators.misfit import statistics
 from pymc_features.simulators.oscillators.modal_system import has_fast, highest_step
+from pymc_features.simulators.oscillators.systems import Systems, new_systems, put_modes
 
 
 def linear_response(parameters, excitation, wanted) -> np.ndarray:

@@ -287,10 +287,12 @@ def add_increments(misfits, modes, samples, block, n_sensors):
 def march(modes, arrays, samples, sample_arrays, observed, follows, with_increments, history):
     """Take all modes through a record; sums of squares, see `gathered`, and increments are left in `modes`.
 
-    The response (s, u) is written into the history unless that is empty; `observed` is empty then.
+    The response (s, u) of the first structure is written into the history unless that is empty; `observed` is
+    empty then.
     """
     # misfits as numbers of a structure, one sample after the other
-    misfits, count = view(arrays.misfits, zero(modes.ends)), history.shape[0]
+    one = zero(modes.ends)
+    misfits, count, lots = view(arrays.misfits, one), history.shape[0], lanes(one)
     for j in range(modes.sensors):
         modes.squares[j] = zero(modes.squares)
     for block in range(samples.n_blocks):
@@ -305,7 +307,7 @@ def march(modes, arrays, samples, sample_arrays, observed, follows, with_increme
         first = block * samples.size
         for j in range(count):
             for k in range(min(samples.size, samples.n_times - first)):
-                history[j, first + k] = -arrays.misfits[j * samples.size + k]
+                history[j, first + k] = -arrays.misfits[(j * samples.size + k) * lots]
 
 
 class Walk(NamedTuple):
