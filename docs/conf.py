@@ -20,6 +20,8 @@ extensions = [
 ]
 html_theme = "furo"
 html_title = "pymc_features"
+html_static_path = ["_static"]
+html_css_files = ["narrow.css"]
 exclude_patterns = ["_build"]
 templates_path = []
 

@@ -15,7 +15,7 @@ from support.browser import URLS, WIDTHS, needs_browser
 from support.commands import ROOT
 
 # pages with tables and formulas that are wider than a phone
-WIDE = ("index", "intervals", "private_hooks", "reference/likelihoods", "reference/sampling")
+WIDE = ("genindex", "index", "intervals", "private_hooks", "reference/likelihoods", "reference/sampling")
 # furo hides what is beyond the window, and lets its content scroll
 BEYOND = """[document.documentElement, document.querySelector(".content")]
   .map(e => e.scrollWidth - e.clientWidth)"""
