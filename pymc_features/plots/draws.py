@@ -121,8 +121,6 @@ def prior_posterior(
         check_group(idata, "idata", group, advice, *SAMPLE) for group in ("posterior", "prior")
     )
     units = check_mapping(units, "units", "a dict of parameters to their units")
-    if not all(isinstance(unit, str) for unit in units.values()):
-        raise TypeError(message("units", "a dict of parameters to their units", shown(units)))
     known = [str(n) for n, v in posterior.data_vars.items() if n in prior and set(v.dims) == set(SAMPLE)]
     names = chosen_among(var_names, "var_names", known)
     if not names:

@@ -92,12 +92,11 @@ def channels(channels: xr.DataArray, axes: AxesLike = None) -> np.ndarray:
     check_array(channels, sensors=True)
     time = as_numbers(channels["time"].values, "channels", "Give times in seconds.")
     n, units = channels.sizes["sensor"], units_of(channels)
-    figsize = (9.0, min(TALLEST, 0.8 + 0.9 * n))
-    is_one = "units" not in channels.coords
-    axes = checked_axes(axes, n, "sensors", figsize=figsize, sharex=True, sharey=is_one)
-    for ax, name, values, unit in zip(axes, channels["sensor"].values, channels.values, units, strict=True):
+    layout = {"figsize": (9.0, min(TALLEST, 0.8 + 0.9 * n)), "sharex": True}
+    axes = checked_axes(axes, n, "sensors", sharey="units" not in channels.coords, **layout)
+    for ax, values, title in zip(axes, channels.values, titles_of(channels), strict=True):
         draw_with_peak(ax, time, values)
-        set_title(ax, f"{name}, peak {np.nanmax(np.abs(values)):.3g} {unit}", loc="left", fontsize="medium")
+        set_title(ax, title, loc="left", fontsize="medium")
     axes[-1].set(xlabel="time [s]", xlim=(float(time[0]), float(time[-1])))
     quantity = "acceleration " if units[0] == "m/s²" else ""
     axes[n // 2].set_ylabel(f"{quantity}[{units[0]}]" if len(set(units)) == 1 else "")
@@ -109,6 +108,13 @@ def units_of(channels: xr.DataArray) -> list[str]:
     whole = [channels.attrs.get("units", "m/s^2")] * channels.sizes["sensor"]
     units = channels["units"].values.tolist() if "units" in channels.coords else whole
     return [unit.replace("^2", "²") for unit in units]
+
+
+def titles_of(channels: xr.DataArray) -> list[str]:
+    """Name and largest value of each channel."""
+    largest = np.nanmax(np.abs(channels.values), axis=1)
+    columns = zip(channels["sensor"].values, largest, units_of(channels), strict=True)
+    return [f"{name}, peak {peak:.3g} {unit}" for name, peak, unit in columns]
 
 
 def draw_with_peak(ax, time, values, label: str | None = None) -> None:
@@ -256,7 +262,21 @@ def draw_expected(channels, bands, densities, units) -> np.ndarray:
     figure = pyplot.figure(figsize=(9.0, sum(heights)), layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=heights)
     axes = above.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
-    draw_channels(axes, channels, bands)
+    coords = {"quantile": [0.05, 0.5, 0.95], "time": channels["time"]}
+    expected = xr.DataArray(bands, coords, ("quantile", "sensor", "time"))
+    labels = "priors, 5 to 95 %", "priors, median"
+    columns = draw_responses(axes[1:], expected, list(channels[1:]), labels)
+    draw_measured(axes[0], channels["time"].values, channels.values[0], columns)
+    named = zip(axes, titles_of(channels), channels.values, units_of(channels), strict=True)
+    for k, (ax, title, values, unit) in enumerate(named):
+        if k:
+            low, _, high = bands[:, k - 1]
+            inside = ((values >= low) & (values <= high))[~np.isnan(values)]
+            title += f": {100.0 * inside.mean():.0f} % of it within what the priors expect"
+            ax.set_ylim(*limits([values], [low, high]))
+        set_title(ax, title, loc="left", fontsize="medium")
+        ax.margins(x=0.0)
+        ax.set_ylabel(f"[{unit}]")
     legend_outside(axes[-1])
     of_priors = [below.add_subplot(rows, IN_A_ROW, 1 + k) for k in range(len(densities))]
     for ax, (name, (values, density)) in zip(of_priors, densities.items(), strict=True):
@@ -266,26 +286,6 @@ def draw_expected(channels, bands, densities, units) -> np.ndarray:
         ax.set_ylim(bottom=0.0)
         ax.xaxis.get_major_locator().set_params(nbins=4)
     return np.array([*axes, *of_priors])
-
-
-def draw_channels(axes, channels, bands) -> None:
-    """Each channel on its axis, the base without a band."""
-    coords = {"quantile": [0.05, 0.5, 0.95], "time": channels["time"]}
-    expected = xr.DataArray(bands, coords, ("quantile", "sensor", "time"))
-    base, *sensors = channels
-    columns = draw_responses(axes[1:], expected, sensors, ("priors, 5 to 95 %", "priors, median"))
-    draw_measured(axes[0], base["time"].values, base.values, columns)
-    named = zip(axes, channels["sensor"].values, channels.values, units_of(channels), strict=True)
-    for k, (ax, name, values, unit) in enumerate(named):
-        text = f"{name}, peak {np.nanmax(np.abs(values)):.3g} {unit}"
-        if k:
-            low, _, high = bands[:, k - 1]
-            inside = ((values >= low) & (values <= high))[~np.isnan(values)]
-            text += f": {100.0 * inside.mean():.0f} % of it within what the priors expect"
-            ax.set_ylim(*limits([values], [low, high]))
-        set_title(ax, text, loc="left", fontsize="medium")
-        ax.margins(x=0.0)
-        ax.set_ylabel(f"[{unit}]")
 
 
 def share_of(bands) -> str:

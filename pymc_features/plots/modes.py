@@ -8,7 +8,7 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pymc_features._checks import as_array, as_list, as_numbers, check_mapping, message, shown
+from pymc_features._checks import as_array, as_numbers, check_mapping, message, shown
 from pymc_features.modal.data import ModalData, real_shape
 from pymc_features.modal.data import mac as mac_of
 from pymc_features.plots.axes import AxesLike, checked_axes, figure, legend_outside
@@ -185,9 +185,6 @@ class Compared:
         self.measured, self.identified = data.shapes, data.frequencies
         shapes, self.frequencies = shapes_and_frequencies(self.shapes, self.frequencies)
         shapes = as_numbers(shapes, "shapes", "Pass those of the model.")
-        if shapes.ndim < 2 or 0 in shapes.shape:
-            advice = "Give one shape in each row."
-            raise ValueError(message("shapes", "of shape (..., mode, point)", shapes.shape, advice))
         draws = shapes.reshape(-1, *shapes.shape[-2:])
         self.shapes = draws[np.isfinite(draws).all(axis=(1, 2))]
         if not len(self.shapes):
@@ -382,9 +379,12 @@ def checked_nodes(nodes, p: int) -> Nodes:
     directions = directions / np.where(length > 0.0, length, 1.0)
     places, node = np.unique(points, axis=0, return_inverse=True)
     lines = [range(p)] if given.get("lines") is None else given["lines"]
-    lines = [node[line] for line in checked_lines(lines, p)]
+    if not {row for line in lines for row in line} <= set(range(p)):
+        condition = f"with lines that are lists of rows from 0 to {p - 1}"
+        raise ValueError(message("nodes", condition, shown(lines)))
     projection, labels = plane_of(points, directions)
-    return Nodes(places @ projection, node, directions @ projection, lines, labels)
+    joined = [node[list(line)] for line in lines]
+    return Nodes(places @ projection, node, directions @ projection, joined, labels)
 
 
 def rows_of(values, name: str, p: int) -> np.ndarray:
@@ -394,17 +394,6 @@ def rows_of(values, name: str, p: int) -> np.ndarray:
         condition = f"with {p} rows of 2 or 3 finite {name}, one for each column of `shapes`"
         raise ValueError(message("nodes", condition, array.shape))
     return np.pad(array, ((0, 0), (0, 3 - array.shape[1])))
-
-
-def checked_lines(lines, p: int) -> list[list[int]]:
-    """Rows that are joined."""
-    found = [as_list(line) for line in lines] if isinstance(lines, list | tuple) else [None]
-    for row in (row for line in found for row in (line or ([None] if line is None else []))):
-        is_whole = isinstance(row, int | np.integer) and not isinstance(row, bool)
-        if not is_whole or not 0 <= row < p:
-            condition = f"with lines that are lists of rows from 0 to {p - 1}"
-            raise ValueError(message("nodes", condition, shown(lines)))
-    return found
 
 
 def plane_of(points: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, tuple[str, str]]:

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from pymc_features._checks import as_numbers, check_finite, message, shown
+from pymc_features._checks import as_numbers, message, shown
 from pymc_features.modal.data import ModalData
 from pymc_features.plots.axes import AxesLike, check_dataset, checked_axes, figure
 from pymc_features.signals import sampling_step
@@ -12,6 +12,7 @@ from pymc_features.signals.channels import whole_values
 from pymc_features.signals.spectra import averaged_spectra
 
 BESIDE = 1.25  # of the highest band: what is drawn
+HERTZ = "Pass them in Hz."
 DECADES = 6.0  # below the largest value
 
 
@@ -42,8 +43,10 @@ def singular_values(
     """
     spectra = averaged_spectra(whole_values(channels), sampling_step(channels))
     f, levels = spectra.frequencies[1:], spectra.singular_values[1:]
-    limits = np.empty((0, 2)) if bands is None else checked_hertz(bands, "bands", "pairs of frequencies")
-    marked = checked_hertz([] if frequencies is None else frequencies, "frequencies", "a list of frequencies")
+    limits = np.atleast_2d(as_numbers(np.empty((0, 2)) if bands is None else bands, "bands", HERTZ))
+    if limits.shape[1:] != (2,) or not (limits[:, 0] < limits[:, 1]).all():
+        raise ValueError(message("bands", "rising pairs of frequencies in Hz", shown(bands)))
+    marked = np.ravel(as_numbers([] if frequencies is None else frequencies, "frequencies", HERTZ))
     if fitted is not None:
         check_dataset(fitted, "fitted", "`spectra` of a likelihood of `run_update`", "response")
     [ax] = axes = checked_axes(axes, figsize=(9.0, 4.0))
@@ -124,19 +127,6 @@ def response_functions(functions: xr.Dataset, axes: AxesLike = None) -> np.ndarr
     axes[0].legend(title="reference", ncols=6, fontsize="small")
     axes[-1].set_xlabel("frequency [Hz]")
     return axes
-
-
-def checked_hertz(values, name: str, what: str) -> np.ndarray:
-    """Frequencies in a row, or pairs of rising ones (band, 2)."""
-    found, are_pairs = as_numbers(values, name, "Pass them in Hz."), name == "bands"
-    if are_pairs:
-        found = np.atleast_2d(found)
-    if found.ndim != 1 + are_pairs or (are_pairs and (found.shape[1] != 2 or not found.size)):
-        raise ValueError(message(name, f"{what} in Hz", found.shape))
-    check_finite(found, name)
-    if (found < 0.0).any() or (are_pairs and (found[:, 0] >= found[:, 1]).any()):
-        raise ValueError(message(name, f"{what} in Hz, at least zero and rising", found.tolist()))
-    return found
 
 
 def draw_fitted(ax, f: np.ndarray, response: xr.DataArray) -> None:
