@@ -318,7 +318,7 @@ def update(options, console):
     config = Path(options.config)
     options.out = Path(options.out or config.with_name(f"{config.stem}-output"))
     problem, told = read_and_tell(config, console)
-    for sentence in problem.first.foretold(problem):
+    for sentence in problem.measured.foretold(problem) if problem.measured else ():
         say(console, f"note: {sentence}")
     forget_parts(options, "update", console)
     with PartProgress(console, "update", options.alive) as progress:

@@ -207,7 +207,7 @@ class Likelihood(Section):
         if len(set(self.kinds)) < len(self.kinds):
             raise ValueError(f"must name each of `kinds` once, got {self.kinds}")
         for kind in self.kinds:
-            for name, value in self.parameters_of(kind):
+            for name, value in self.parameters_of(kind).items():
                 check_parameter(LIKELIHOODS[kind], name, value)
         for name in ("epsilon", "correlation_time", "m"):
             users = [kind for kind, entry in LIKELIHOODS.items() if name in entry.takes]
@@ -217,17 +217,16 @@ class Likelihood(Section):
             raise ValueError("must have `epsilon` for ABC, or EXP among `kinds` to take it from")
         return self
 
-    def parameters_of(self, kind) -> list[tuple[str, Any]]:
+    def parameters_of(self, kind) -> dict[str, Any]:
         """Names and values of the parameters of the errors that one likelihood takes."""
-        names = [name for name in ERRORS if name in LIKELIHOODS[kind].takes]
-        return [(name, getattr(self, name)) for name in names]
+        return {name: getattr(self, name) for name in ERRORS if name in LIKELIHOODS[kind].takes}
 
     def parameters(self, key, config=None):
         """Take the unit of what is measured for sigma."""
         sigma = "N" if config.cyclic is not None else SIGMA[MEASURED[config.data.quantity]]
         units = ERRORS | {"sigma": sigma}
-        for name, value in dict(pair for kind in self.kinds for pair in self.parameters_of(kind)).items():
-            yield f"{key}.{name}", units[name], value
+        for name in dict.fromkeys(name for kind in self.kinds for name in self.parameters_of(kind)):
+            yield f"{key}.{name}", units[name], getattr(self, name)
 
 
 def check_parameter(entry, name, value) -> None:

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pymc as pm
-import pytensor.tensor as pt
 import xarray as xr
 from pydantic import Field, model_validator
 
@@ -20,7 +19,7 @@ from pymc_features.likelihoods import DIMS, Likelihood
 from pymc_features.records import Record
 from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.structures import Structure
-from pymc_features.update.config.entries import Vector, evaluated
+from pymc_features.update.config.entries import Vector
 from pymc_features.update.config.keys import named_key, shown
 from pymc_features.update.config.sections import Section, Window, key
 from pymc_features.update.kinds import base, modal
@@ -183,12 +182,12 @@ class Ambient(KindOfData):
         return {"channels": self.channels.values, "bands": self.bands} | known
 
     def parameters(self, likelihood):
-        return self.config.ambient.force, self.config.ambient.error
+        return {"force": self.config.ambient.force, "error": self.config.ambient.error}
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         asked = self.config.ambient
         pm.modelcontext(None).add_coords({dim: self.channels[dim].values for dim in DIMS})
-        force, error = (pt.as_tensor_variable(evaluated(v, values)) for v in (asked.force, asked.error))
+        force, error = self.variables(likelihood, values).values()
         settings = {"forces": asked.forces, "sensors": self.dofs, "n_modes": problem.structure.n_modes}
         measured = {"bands": self.bands, "dt": self.step, "observed": self.channels.values}
         if self.base is not None:

@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pymc as pm
+import pytensor.tensor as pt
 import xarray as xr
 
 from pymc_features import plots
 from pymc_features.exceptions import ConfigError
 from pymc_features.likelihoods import Likelihood
 from pymc_features.storage import fingerprint, write_atomically
-from pymc_features.update.config.entries import Parameter, priors_in
+from pymc_features.update.config.entries import Parameter, evaluated, priors_in
 from pymc_features.update.config.keys import named_key, refuse, shown
 from pymc_features.update.config.sections import Section
 from pymc_features.update.config.structures import modes_of
@@ -92,9 +93,14 @@ class KindOfData:
         """Read and check what the section names; a ConfigError names the key. The problem has no data yet."""
         raise NotImplementedError
 
-    def parameters(self, likelihood: str):
+    def parameters(self, likelihood: str) -> dict[str, Any]:
         """Values of the file that may be random under a likelihood, besides those of the structure."""
-        return [value for *_, value in self.asked.parameters(self.key)]
+        return {at.rpartition(".")[2]: value for at, _, value in self.asked.parameters(self.key)}
+
+    def variables(self, likelihood: str, values) -> dict[str, Any]:
+        """Those that the file has as tensors, with the variables `values` in place of names of priors."""
+        given = {name: value for name, value in self.parameters(likelihood).items() if value is not None}
+        return {name: pt.as_tensor_variable(evaluated(value, values)) for name, value in given.items()}
 
     def declare(self, problem, likelihood: str, structure, values, tolerance) -> None:
         """Add what was measured to the PyMC model of the context; `values` are the variables by name."""
@@ -116,10 +122,6 @@ class KindOfData:
         """What the data are recognised by, for settings: other data are another problem."""
         return {f"{name}_sha256": fingerprint(values) for name, values in self.arrays.items()}
 
-    def foretold(self, problem) -> list[str]:
-        """What likelihoods cannot tell, before anything is sampled."""
-        return []
-
     def verdict(self, problem, result, kind: str) -> Verdict:
         """Judge how one likelihood of a result meets the data."""
         return Verdict([], True)
@@ -140,12 +142,8 @@ class KindOfData:
         """Tables of the report, as of `table`: the data, and what likelihoods make of them."""
         return []
 
-    def figures(self, problem, result) -> dict[str, Callable]:
-        """Figures that all likelihoods share: names of files without suffix to functions that draw."""
-        return {}
-
     def figures_of(self, problem, part, kind: str) -> dict[str, Callable]:
-        """Figures of one likelihood, by what follows its name in that of the file."""
+        """Figures of one likelihood, functions that draw by what follows its name in that of the file."""
         return {}
 
 
@@ -213,7 +211,7 @@ def names_for(problem, likelihood: str) -> list[str]:
     """Names of the priors in the model of one likelihood, in the order of the file."""
     used = set(problem.structure.names)
     for data in problem.data:
-        used |= {item.prior for value in data.parameters(likelihood) for item in priors_in(value)}
+        used |= {item.prior for value in data.parameters(likelihood).values() for item in priors_in(value)}
     return [name for name in problem.priors if name in used]
 
 

@@ -21,7 +21,7 @@ from pymc_features.prediction import posterior_response
 from pymc_features.prediction.draws import structure_draws
 from pymc_features.records import CyclicTest, Record
 from pymc_features.simulators.quantities import checked_request
-from pymc_features.update.config.entries import Parameter, evaluated
+from pymc_features.update.config.entries import Parameter
 from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import ERRORS
 from pymc_features.update.kinds import base
@@ -124,7 +124,7 @@ class Histories(KindOfData):
         return ", ".join(f"{share:.2g} % of {name}" for name, share in named if share > 0.0)
 
     def parameters(self, likelihood):
-        return [value for _, value in self.config.likelihood.parameters_of(likelihood)]
+        return self.config.likelihood.parameters_of(likelihood)
 
     @property
     def arrays(self):
@@ -182,10 +182,7 @@ class Histories(KindOfData):
         asked = self.config.likelihood
         pm.modelcontext(None).add_coords({dim: self.channels[dim].values for dim in DIMS})
         mu = self.response(problem, structure)
-        errors = {
-            name: pt.as_tensor_variable(evaluated(value, values))
-            for name, value in asked.parameters_of(likelihood)
-        }
+        errors = self.variables(likelihood, values)
         if self.config.processing.compare is not None:
             mu = mu[:, self.window]
             errors["dt"] = pt.constant(self.step)  # which likelihoods no longer see

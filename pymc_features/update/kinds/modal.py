@@ -7,7 +7,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import pymc as pm
-import pytensor.tensor as pt
 import xarray as xr
 from pydantic import model_validator
 
@@ -20,20 +19,11 @@ from pymc_features.modal.feature import checked_parameters
 from pymc_features.modal.files import read_modal
 from pymc_features.modal.files.nodes import read_nodes
 from pymc_features.modal.identified import identified
-from pymc_features.update.config.entries import Vector, evaluated
+from pymc_features.update.config.entries import Vector
 from pymc_features.update.config.keys import demand, named_key, refuse, shown
 from pymc_features.update.config.sections import Names, Section, key
 from pymc_features.update.kinds import base
-from pymc_features.update.kinds.base import (
-    QUANTILES,
-    KindOfData,
-    Points,
-    Verdict,
-    kinds_of,
-    mode_shapes,
-    points_of,
-    table,
-)
+from pymc_features.update.kinds.base import QUANTILES, KindOfData, Points, Verdict, kinds_of, table
 from pymc_features.update.plausibility.findings import of_modes
 from pymc_features.update.templates.numbers import Scale, fixed
 
@@ -252,16 +242,13 @@ class Modal(KindOfData):
         density, labels = self.asked.density, [str(label) for label in self.labels]
         with named_key("modal", n_modes="modal.n_modes"):
             found = modes(structure, self.n_modes, sensors=self.dofs or None)
-            sigma_f, sigma_phi, sigma_zeta = (
-                None if value is None else pt.as_tensor_variable(evaluated(value, values))
-                for value in self.parameters(likelihood)
-            )
+            scales = self.variables(likelihood, values)
             if likelihood in LIKELIHOODS and LIKELIHOODS[likelihood].calibrates:
-                data = identified(self.data, labels, damping=sigma_zeta is not None)
-                terms = checked_parameters(found, data, sigma_f, sigma_phi, density, sigma_zeta)
+                data = identified(self.data, labels, damping="sigma_zeta" in scales)
+                f, phi, zeta = map(scales.get, ("sigma_f", "sigma_phi", "sigma_zeta"))
+                terms = checked_parameters(found, data, f, phi, density, zeta)
                 pm.Potential("modal", pm.logp(ModalFeature.dist(*terms), data.values).sum())
             else:
-                scales = {"sigma_f": sigma_f, "sigma_phi": sigma_phi, "sigma_zeta": sigma_zeta}
                 ModalFeature("modal", found, observed=self.data, labels=labels, density=density, **scales)
 
     def predict(self, problem, likelihood, model, idata):
@@ -327,7 +314,7 @@ class Modal(KindOfData):
         if outside:
             named = ", ".join(f"{row.name} ({row.measured:.4g} Hz)" for row in outside)
             yield f"Outside of what the priors expect (5 to 95 %): {named}."
-        part = {"mode_shapes": mode_shapes(problem, draws), "matched": matched}
+        part = {"mode_shapes": base.mode_shapes(problem, draws), "matched": matched}
         if figures := self.figures_of(problem, part, ""):
             yield base.drawn_to(path, [*figures.values()][-1])
 
@@ -358,7 +345,7 @@ class Modal(KindOfData):
     def figures_of(self, problem, part, kind):
         if not self.dofs:
             return {}
-        points = points_of(problem)
+        points = base.points_of(problem)
         at = points.of(self.dofs)
         kept = {"mode": slice(self.n_modes)}
         shapes, frequencies = (part["mode_shapes"][key].isel(kept).values for key in ("shape", "frequency"))

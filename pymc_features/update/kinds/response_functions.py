@@ -63,8 +63,8 @@ class FrequencyResponses(KindOfData):
     def read(cls, problem):
         asked, n = problem.config.frequency_response, problem.expected.n_dof
         files = [asked.files] if isinstance(asked.files, str) else asked.files
-        for name in ("sigma_f", "sigma_zeta", "sigma_phi"):
-            base.check_positive(f"frequency_response.{name}", getattr(asked, name), problem.priors)
+        for at, _, value in asked.parameters(cls.key):
+            base.check_positive(at, value, problem.priors)
         with named_key("frequency_response"):
             stated = asked.model_dump(include={"units", "response", "reference"}, exclude_none=True)
             data = read_frequency_response([problem.folder / file for file in files], **stated)
@@ -111,11 +111,9 @@ class FrequencyResponses(KindOfData):
         return dict(zip(self.measured.data["response"].values.tolist(), self.dofs, strict=True))
 
     def declare(self, problem, likelihood, structure, values, tolerance):
-        names = "sigma_f", "sigma_zeta", "sigma_phi"
-        pairs = zip(names, self.parameters(likelihood), strict=True)
-        given = {name: evaluated(value, values) for name, value in pairs}
-        by_label = self.asked.responses is None  # in the sense that labels say
-        given |= {} if by_label else {"responses": self.dofs, "references": self.points}
+        given = self.variables(likelihood, values)
+        if self.asked.responses is not None:  # else in the sense that labels say
+            given |= {"responses": self.dofs, "references": self.points}
         with named_key("frequency_response"):
             FrequencyResponse(
                 self.key, structure, observed=self.measured, n_modes=self.asked.n_modes, **given
@@ -188,10 +186,8 @@ class FrequencyResponses(KindOfData):
     def verdict(self, problem, result, kind):
         found, posterior = result[f"{kind}/functions"].to_dataset(), result[f"{kind}/posterior"].to_dataset()
         modes, sd = self.measured.fit.modes, self.measured.fit.deviations
-        names = [item.prior for item in priors_in(self.asked.sigma_f)]
-        sigma = float(
-            evaluated(self.asked.sigma_f, {name: float(posterior[name].median()) for name in names})
-        )
+        medians = posterior[[item.prior for item in priors_in(self.asked.sigma_f)]].median()
+        sigma = float(evaluated(self.asked.sigma_f, {name: float(medians[name]) for name in medians}))
         middle = found["natural_frequency"].sel(quantile=0.5).values
         off = np.log(modes.frequencies / middle)
         z = np.abs(off) / np.hypot(sigma, sd[:, 0])

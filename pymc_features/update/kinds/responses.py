@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from pymc_features import plots, signals
+from pymc_features import signals
 from pymc_features.exceptions import ConfigError
 from pymc_features.io.reading.labels import SI
 from pymc_features.plots.histories import draw_expected
@@ -239,12 +239,6 @@ class Responses(Histories):
         gains = [] if self.gains is None else [gains_table(self.gains)]
         channels = channels_table(self, more, self.record.acceleration)
         return [*super().tables(problem, result), channels, *gains]
-
-    def figures(self, problem, result):
-        return {
-            "record": lambda: plots.record(result),
-            "frequencies": lambda: plots.natural_frequencies(result),
-        }
 
     def verdict(self, problem, result, kind):
         part = result[kind]

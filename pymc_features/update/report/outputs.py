@@ -57,8 +57,9 @@ def write_outputs(problem: Problem, result, folder, channel_warnings=()) -> list
 def figures(problem: Problem, result) -> dict[str, Callable]:
     """Names of every figure of the report to functions that draw; nothing is drawn yet."""
     found = {}
-    for data in problem.shown:
-        found |= data.figures(problem, result)
+    if "gain" in result.children.get("data", {}):
+        found = {"record": partial(plots.record, result)}
+        found["frequencies"] = partial(plots.natural_frequencies, result)
     for kind in kinds_of(result):
         part = result[kind]
         own = {"prior_posterior": partial(plots.prior_posterior, part, units=problem.units)}
