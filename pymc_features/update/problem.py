@@ -9,7 +9,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import ValidationError, create_model, model_validator
 
 from pymc_features.exceptions import ConfigError, PriorWarning
@@ -317,10 +316,5 @@ def problem_of(path: Path, text: str, config: Config, raw: dict) -> Problem:
         for sentence in of_priors(prior, problem.units):
             warnings.warn(sentence, PriorWarning, stacklevel=2)
     problem = problem.with_data(*(kind.read(problem) for kind in KINDS_OF_DATA if kind.is_asked(config)))
-    frequencies = config.report.natural_frequencies
-    if frequencies is not None and not (frequencies and np.all(np.diff([0.0, *frequencies]) > 0.0)):
-        raise ConfigError(
-            f"`report.natural_frequencies` must be positive and rise, in Hz, got {shown(frequencies)}."
-        )
     check_predictions(config, structure)
     return problem

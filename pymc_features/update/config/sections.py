@@ -4,6 +4,7 @@ The description of a key completes the sentence "`key` must be ..." in messages,
 """
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -12,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, Field, model_validator
 from pymc_features.io import read_record
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.records import INTERPOLATIONS, Interpolation, Record
-from pymc_features.update.config.entries import STRICT, Vector, key, priors_in
+from pymc_features.update.config.entries import STRICT, Positive, Vector, key, priors_in
 from pymc_features.update.config.keys import shown
 from pymc_features.update.config.priors import Prior
 
@@ -48,8 +49,8 @@ class Section(BaseModel):
 
 
 def rising(value):
-    """Two numbers of which the second one is larger; the words of the key say so."""
-    assert value[0] < value[1]
+    """Numbers each larger than the one before; the words of the key say so."""
+    assert all(low < high for low, high in pairwise(value))
     return tuple(value)
 
 
@@ -61,9 +62,8 @@ def two_or_more(value):
 
 Rows = Annotated[list[int], Field(min_length=2, max_length=2), AfterValidator(two_or_more)]
 Window = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(rising)]
+Frequencies = Annotated[list[Positive], Field(min_length=1), AfterValidator(rising)]
 Names = Annotated[list[str], Field(min_length=1)]
-
-
 Table = dict[str, Any]
 
 
@@ -274,7 +274,7 @@ class Report(Section):
     """What the report shows besides."""
 
     title: str = key("a line of text", "Updated model")
-    natural_frequencies: list[float] | None = key("a list of frequencies in Hz, lowest first", None)
+    natural_frequencies: Frequencies | None = key("a list of positive, rising frequencies in Hz", None)
     quantities: list[QUANTITIES] = key(SOME_QUANTITIES, [])
 
 

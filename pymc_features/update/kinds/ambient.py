@@ -20,7 +20,7 @@ from pymc_features.records import Record
 from pymc_features.signals.spectra import averaged_spectra
 from pymc_features.structures import Structure
 from pymc_features.update.config.entries import Vector
-from pymc_features.update.config.keys import named_key, shown
+from pymc_features.update.config.keys import demand, named_key, shown
 from pymc_features.update.config.sections import Section, Window, key
 from pymc_features.update.kinds import base, modal
 from pymc_features.update.kinds.base import KindOfData, Verdict
@@ -137,20 +137,17 @@ class Ambient(KindOfData):
 
         There are none, and an AmbientWarning, if no band has one, or they are more than the structure has.
         """
+        most = modal.most_modes(self.structure)
         try:
             with named_key("ambient.bands"):
                 data = identify_modes(self.channels, self.bands, excitation=self.base)
-        except ConfigError as error:
-            warnings.warn(f"No modes were identified to compare with: {error}", AmbientWarning, stacklevel=2)
-            return ()
-        n, most = len(data), modal.most_modes(self.structure)
-        if n > most:
-            warnings.warn(
+            demand(
+                (n := len(data)) <= most,
                 f"The channels have {n} modes in the bands, more than the structure: it cannot explain all "
                 "of them. Choose `ambient.bands` around those that it has.",
-                AmbientWarning,
-                stacklevel=2,
             )
+        except ConfigError as error:
+            warnings.warn(f"No identified modes are compared with: {error}", AmbientWarning, stacklevel=2)
             return ()
         dofs, partner = self.dofs, PARTNER
         if len(dofs) < 2:  # a shape of one entry says nothing

@@ -110,12 +110,11 @@ class Responses(Histories):
                 warnings.filterwarnings("ignore", "Mean of empty slice")  # in a gap from end to end
                 files.warn_of_offsets(floors)
         floors, first = files.part_compared(floors.assign_attrs(units=SI[MEASURED[data.quantity]]), asked)
-        for name, is_gap in zip(floors["sensor"].values, floors.isnull().all("time").values, strict=True):
-            if is_gap:
-                raise ConfigError(
-                    f"`data.sensors` must have samples to compare, got a gap from end to end of {name} "
-                    "(filters and decimation widen gaps). Leave it out."
-                )
+        for name in floors["sensor"].values[floors.isnull().all("time").values]:
+            raise ConfigError(
+                f"`data.sensors` must have samples to compare, got a gap from end to end of {name} (filters "
+                "and decimation widen gaps). Leave it out."
+            )
         step = asked.decimate * record.dt
         return Responses(config, record, floors, step, source, dofs, first, compared, gains, checked)
 

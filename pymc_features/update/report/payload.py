@@ -258,21 +258,20 @@ def predicted(result) -> list[dict]:
     """Find of each response to another motion the history where it is largest, peaks of draws, and limits."""
     found = []
     for title, data, name in predicted_quantities(result):
-        values, peak, place = data[name], data[f"{name}_peak"], name.replace("_", " ")
+        peak, label = data[f"{name}_peak"], name.replace("_", " ")
         dims = [dim for dim in peak.dims if dim != "sample"]
-        one = {"motion": title, "label": place}
-        for dim in dims:
-            at = int(np.argmax(peak.median("sample").values))
-            values, place = values.isel({dim: at}), f"{place}, {dim} {peak[dim].values[at]}"
+        at = {dim: int(peak.median("sample").argmax(dim)) for dim in dims}
+        values = data[name].isel(at)
         quantiles = values.transpose("quantile", "time").values
         scale = scale_of(float(np.abs(quantiles).max()), values.attrs["units"])
         kept = extremes(quantiles[[0, -1]], RECORD)
         columns = ("limit", "probability_any", "probability_any_se")
         limits = [data.get(f"{name}_{column}", xr.DataArray([])).values for column in columns]
         found.append(
-            one
-            | {
-                "place": place,
+            {
+                "motion": title,
+                "label": label,
+                "place": ", ".join([label, *(f"{dim} {values[dim].item()}" for dim in dims)]),
                 "unit": scale.unit,
                 "time": packed(values["time"].values[kept]),
                 "quantiles": packed(quantiles[:, kept] / scale.factor),
