@@ -312,8 +312,7 @@ def reproduce(options, console):
 def update(options, console):
     """Update a structure as a configuration says, and write the report."""
     from pymc_features.update import run_update, write_outputs
-    from pymc_features.update.report.document import as_json, document_of
-    from pymc_features.update.report.terminal import summary
+    from pymc_features.update.report.document import as_json, document_of, summary
 
     config = Path(options.config)
     options.out = Path(options.out or config.with_name(f"{config.stem}-output"))
@@ -349,10 +348,9 @@ def predict(options, console):
     """Predict other motions with the posterior of a finished update."""
     from pymc_features.storage import netcdf_bytes, write_atomically
     from pymc_features.update.predictions import predicted_rows, predicted_table
-    from pymc_features.update.report.document import put_predictions
+    from pymc_features.update.report.document import drawn_table, put_predictions
     from pymc_features.update.report.outputs import predict_stored
     from pymc_features.update.report.page import write_page
-    from pymc_features.update.report.terminal import drawn_table
 
     config = Path(options.config)
     out = Path(options.out or config.with_name(f"{config.stem}-output"))
@@ -410,7 +408,7 @@ def read_and_tell(config, console):
 
 def tell(shown, console):
     """Print sentences and tables."""
-    from pymc_features.update.report.terminal import drawn_table
+    from pymc_features.update.report.document import drawn_table
 
     for one in shown:
         if isinstance(one, str):

@@ -10,13 +10,8 @@ import pytest
 import xarray as xr
 
 from pymc_features import cli
-from pymc_features.update.report import payload as payload_module
-from pymc_features.update.report.page import page_of, write_page
-from pymc_features.update.report.payload import (
-    density,
-    extremes,
-    payload_of,
-)
+from pymc_features.update.report import page
+from pymc_features.update.report.page import density, extremes, page_of, payload_of, write_page
 from pymc_features.update.templates.numbers import (
     COLUMNS,
     Row,
@@ -169,7 +164,7 @@ def test_the_budget_is_shared_by_all_likelihoods():
         data = payload_of(result)
         sizes.append(sum(len(json.dumps(data["of"][kind]["responses"])) for kind in kinds))
         assert len(json.dumps(data)) < 1.2 * MEGABYTE
-    assert max(sizes) < 1.2 * payload_module.BUDGET
+    assert max(sizes) < 1.2 * page.BUDGET
 
 
 # ---- numbers ----

@@ -12,8 +12,7 @@ from pymc_features.exceptions import ChannelWarning, ConfigError
 from pymc_features.signals.channels import earlier
 from pymc_features.update import read_problem, run_update, sampling, write_example, write_outputs
 from pymc_features.update.kinds.base import declare
-from pymc_features.update.report.document import document_of
-from pymc_features.update.report.terminal import summary
+from pymc_features.update.report.document import document_of, summary
 from pymc_features.update.sampling import Running
 from support.report_pages import words
 from support.update_files import replaced

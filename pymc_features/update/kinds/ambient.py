@@ -173,10 +173,9 @@ class Ambient(KindOfData):
     def placed(self):
         return dict(zip(self.config.data.sensors, self.dofs, strict=True))
 
-    @property
-    def arrays(self):
-        known = {} if self.base is None else {"base": self.base.values}
-        return {"channels": self.channels.values, "bands": self.bands} | known
+    def prints(self):
+        known = None if self.base is None else self.base.values
+        return base.printed({"channels": self.channels.values, "bands": self.bands, "base": known})
 
     def parameters(self, likelihood):
         return {"force": self.config.ambient.force, "error": self.config.ambient.error}

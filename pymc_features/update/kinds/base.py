@@ -51,6 +51,12 @@ def drawn_to(path: Path, draw: Callable) -> str:
     return f"wrote {path}"
 
 
+def printed(arrays) -> dict[str, str]:
+    """What arrays are recognised by in settings, by their names; None is left out."""
+    known = {name: values for name, values in arrays.items() if values is not None}
+    return {f"{name}_sha256": fingerprint(values) for name, values in known.items()}
+
+
 class KindOfData:
     """One kind of data of an update; a new one is a file beside this one and a line in `KINDS_OF_DATA`.
 
@@ -70,8 +76,6 @@ class KindOfData:
     used: str  # what they are, in words
     measures = ""  # which motion the measured responses are, and in which unit; empty without responses
     band = 0.0, np.inf  # frequencies [Hz] that the data have
-    # of data that are recognised by arrays, names to arrays: with others it is another problem
-    arrays: dict[str, np.ndarray] = {}
     identity = (
         ""  # what a finished part is recognised by besides; data that may be added are no other problem
     )
@@ -119,8 +123,8 @@ class KindOfData:
         return {}
 
     def prints(self) -> dict[str, str]:
-        """What the data are recognised by, for settings: other data are another problem."""
-        return {f"{name}_sha256": fingerprint(values) for name, values in self.arrays.items()}
+        """What the data are recognised by, see `printed`: with other data it is another problem."""
+        return {}
 
     def verdict(self, problem, result, kind: str) -> Verdict:
         """Judge how one likelihood of a result meets the data."""

@@ -16,7 +16,7 @@ from pymc_features.ops import ExternalResponse
 from pymc_features.update.config.entries import Parameter
 from pymc_features.update.config.keys import named_key
 from pymc_features.update.config.sections import MEASURED, Section, key
-from pymc_features.update.kinds.base import KindOfData, channels_table, thinned
+from pymc_features.update.kinds.base import channels_table, printed, thinned
 from pymc_features.update.kinds.channels import part_compared, read_whole
 from pymc_features.update.kinds.histories import WITH_EVIDENCE, Histories, accounted_for
 
@@ -129,12 +129,8 @@ class External(Histories):
     def used(self):
         return f"{len(self.dofs)} measured histories over {self.step * self.simulator.shape[1]:.4g} s"
 
-    @property
-    def arrays(self):
-        return {"channels": self.channels.values}
-
     def prints(self):
-        return KindOfData.prints(self) | {"program": self.simulator.identity}
+        return printed({"channels": self.channels.values}) | {"program": self.simulator.identity}
 
     def response(self, problem, structure):
         """What the program returns; `structure` has its parameters in their order."""

@@ -126,12 +126,9 @@ class Histories(KindOfData):
     def parameters(self, likelihood):
         return self.config.likelihood.parameters_of(likelihood)
 
-    @property
-    def arrays(self):
-        return {"base": self.record.inputs[0], "channels": self.channels.values}
-
     def prints(self):
-        return super().prints() | {"base_interpolation": self.record.interpolation}
+        found = base.printed({"base": self.record.inputs[0], "channels": self.channels.values})
+        return found | {"base_interpolation": self.record.interpolation}
 
     def foretold(self, problem):
         """What likelihoods that count sensors cannot tell, perhaps of several events."""

@@ -227,15 +227,14 @@ class Modal(KindOfData):
     def placed(self):
         return dict(zip(self.data.channels or [], self.dofs, strict=True))
 
-    @property
-    def arrays(self):
+    def prints(self):
         data = self.data
         found = {"frequencies": data.frequencies, "sd": data.frequency_sd, "shapes": data.shapes}
         if self.asked.sigma_zeta is not None:
             found |= {"damping": data.damping_ratios, "damping_sd": data.damping_sd}
         if self.asked.density == "NORMAL":
             found["shape_sd"] = data.shape_sd
-        return {f"modal_{name}": values for name, values in found.items() if values is not None}
+        return base.printed({f"modal_{name}": values for name, values in found.items()})
 
     def declare(self, problem, likelihood, structure, values, tolerance):
         """Add the modes; where residuals of responses decide the width, as a factor of the prior."""

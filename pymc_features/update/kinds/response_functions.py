@@ -91,11 +91,9 @@ class FrequencyResponses(KindOfData):
             warnings.warn(sentence, PriorWarning, stacklevel=2)
         return cls(asked, measured, *places, ", ".join(Path(file).name for file in files))
 
-    @property
-    def arrays(self):
-        data = self.measured.data
-        found = {"frequency": data["frequency"].values, "response": data["frequency_response"].values}
-        return {f"frequency_response_{name}": values for name, values in found.items()}
+    def prints(self):
+        names = {"frequency_response_frequency": "frequency", "frequency_response_response": self.key}
+        return base.printed({name: self.measured.data[of].values for name, of in names.items()})
 
     @property
     def used(self):

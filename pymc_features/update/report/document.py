@@ -20,6 +20,9 @@ import json
 
 import numpy as np
 import xarray as xr
+from rich import box
+from rich.markup import escape
+from rich.table import Table
 
 from pymc_features.calibration.events import interval
 from pymc_features.update.config.keys import with_keys
@@ -30,11 +33,14 @@ from pymc_features.update.kinds.histories import bounds_of
 from pymc_features.update.predictions import PREDICTION, predicted_rows, predicted_table
 from pymc_features.update.problem import Problem
 from pymc_features.update.run import comparison_sentences, population_table
-from pymc_features.update.templates.numbers import Row, pretty, warning_of
+from pymc_features.update.templates import numbers
 
 PACKAGES = ("pymc-features", "pymc", "pytensor", "numba", "numpy", "arviz")
 R_HAT = 1.05  # of chains of SMC that agree; they are few and short
 R_HAT_NUTS = 1.01
+# of the posterior, as many as 80 characters hold
+SHOWN = ("parameter", "unit", "5 %", "50 %", "95 %", "sd", "learned", "R-hat", "ESS")
+TABLES = ("population", "prediction", "modes")  # besides
 FEWEST = 100  # effective draws of each chain
 TAUGHT = 0.1  # share of the prior's variance that the data must take away to have said something,
 MOVED = 0.8  # or the overlap with the prior that they must leave
@@ -87,7 +93,7 @@ def document_of(problem: Problem, result: xr.DataTree, channel_warnings=()) -> d
         "verdict": verdict._asdict(),
         "sentences": [{"text": text, "is_good": is_good} for text, is_good in sentences],
         "findings": findings,
-        "warnings": [*(f"data: {text}" for text in channel_warnings), *map(warning_of, findings)],
+        "warnings": [*(f"data: {text}" for text in channel_warnings), *map(numbers.warning_of, findings)],
         "posterior": [
             {key: None if value != value else value for key, value in row._asdict().items()} for row in rows
         ],
@@ -127,7 +133,7 @@ def stats_of(part) -> xr.Dataset:
     return part["sample_stats"].to_dataset() if "sample_stats" in part.children else xr.Dataset()
 
 
-def rows_of_result(problem: Problem, result: xr.DataTree) -> list[Row]:
+def rows_of_result(problem: Problem, result: xr.DataTree) -> list[numbers.Row]:
     """All parameters, and natural frequencies in the band of the data, under all likelihoods."""
     import arviz as az  # slow to import
 
@@ -142,11 +148,11 @@ def rows_of_result(problem: Problem, result: xr.DataTree) -> list[Row]:
             r_hat = float(az.rhat(draws)) if posterior.sizes["chain"] > 1 else np.nan
             overlap = overlap_of(prior[name].values, draws.values)
             of_run = taught, r_hat, float(az.ess(draws)), overlap
-            found.append(Row(kind, name, units[name], *moments(draws, at.get(name)), *of_run))
+            found.append(numbers.Row(kind, name, units[name], *moments(draws, at.get(name)), *of_run))
         modes = part["modal"]["natural_frequency"].transpose("mode", ...) if "modal" in part.children else ()
         for k, one in enumerate(modes, start=1):
             if k == 1 or low <= float(one.median()) <= high:  # else the data say nothing about it
-                found.append(Row(kind, f"f{k}", "Hz", *moments(one), *[np.nan] * 4))
+                found.append(numbers.Row(kind, f"f{k}", "Hz", *moments(one), *[np.nan] * 4))
     return found
 
 
@@ -164,7 +170,7 @@ def moments(draws, bound=None) -> tuple[float, ...]:
     return low, float(np.median(values)), high, float(values.mean()), float(values.std())
 
 
-def findings_of(result: xr.DataTree, rows: list[Row]) -> list[dict]:
+def findings_of(result: xr.DataTree, rows: list[numbers.Row]) -> list[dict]:
     """What to doubt, from the run and from its numbers: likelihood, code and sentence."""
     found = [(kind, "failed", text) for kind, text in json.loads(result.attrs.get("failed", "{}")).items()]
     for kind in kinds_of(result):
@@ -181,7 +187,7 @@ def findings_of(result: xr.DataTree, rows: list[Row]) -> list[dict]:
     return [dict(zip(("kind", "code", "text"), one, strict=True)) for one in found]
 
 
-def names_in_doubt(part, rows: list[Row]) -> dict[str, list[str]]:
+def names_in_doubt(part, rows: list[numbers.Row]) -> dict[str, list[str]]:
     """Codes of `FINDINGS` to the parameters, or sensors, that they are about."""
     limit = R_HAT_NUTS if part.attrs["method"] == "NUTS" else R_HAT
     rows = [row for row in rows if np.isfinite(row.taught)]
@@ -214,7 +220,7 @@ def leans(prior, middle, deviation) -> bool:
     return False
 
 
-def changed(rows: list[Row]) -> str:
+def changed(rows: list[numbers.Row]) -> str:
     """Which parameters the data changed, by how much of the prior is left."""
     moved, same = [], []
     for row in sorted(rows, key=lambda row: row.overlap):
@@ -230,7 +236,7 @@ def tables_of_model(problem, result, kinds) -> list[dict]:
     """Priors and likelihoods."""
     uses, units = problem.config.uses(), problem.units
     priors = [
-        (name, pretty(units[name]), repr(prior), ", ".join(key for key, _ in uses[name]))
+        (name, numbers.pretty(units[name]), repr(prior), ", ".join(key for key, _ in uses[name]))
         for name, prior in problem.priors.items()
     ]
     runs = [(kind, KINDS[kind].meaning, result[kind].attrs) for kind in kinds]
@@ -300,3 +306,40 @@ def sentences_of_sample(found, is_calibrated=False) -> list[str]:
 def ended(text: str) -> str:
     """A text as a sentence."""
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+# ---- the terminal ----
+
+
+def summary(document: dict):
+    """What to print of a document: sentences, and tables of the first likelihood, each with its style."""
+    verdict, rows = document["verdict"], numbers.rows_of(document)
+    for sentence in verdict["sentences"]:
+        yield sentence, "bold" if verdict["explains"] else "bold red"
+    for sentence in document["sentences"]:
+        yield sentence["text"], None if sentence["is_good"] else "bold red"
+    first, places = rows[0].kind, [numbers.COLUMNS.index(name) for name in SHOWN]
+    texts = numbers.cells([row for row in rows if row.kind == first])
+    posterior = [[row[k] for k in places] for row in texts]
+    title = f"Posterior under {first}"
+    yield drawn_table({"title": title, "columns": SHOWN, "rows": posterior}, no_wrap=True), None
+    tables = {one["name"]: one for one in document["tables"]}
+    for one in (tables[name] for name in TABLES if name in tables):
+        if one["columns"][0] == "likelihood":
+            rows = [row[1:] for row in one["rows"] if row[0] == first]
+            one |= {"columns": one["columns"][1:], "rows": rows, "title": f"{one['title']} under {first}"}
+        yield drawn_table(one), None
+    yield document["changed"], None
+    for one in document["findings"]:
+        yield f"warning: {numbers.warning_of(one)}", "yellow"
+
+
+def drawn_table(asked: dict, no_wrap=False) -> Table:
+    """A table of the report for the terminal: columns of words to the left, of numbers to the right."""
+    compact = {"collapse_padding": True, "pad_edge": False}
+    drawn = Table(title=asked["title"], title_justify="left", box=box.SIMPLE_HEAD, **compact)
+    for name, is_text in zip(asked["columns"], numbers.columns_of_words(asked), strict=True):
+        drawn.add_column(escape(name), justify="left" if is_text else "right", no_wrap=no_wrap)
+    for row in asked["rows"]:
+        drawn.add_row(*map(escape, row))
+    return drawn
