@@ -1,7 +1,6 @@
 """What figures have in common: the axes that they are drawn on, their texts, and what they refuse."""
 
 import textwrap
-from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 from inspect import cleandoc
 from typing import TYPE_CHECKING
@@ -14,6 +13,7 @@ from pymc_features._checks import as_array, is_among, message, shown
 if TYPE_CHECKING:  # matplotlib takes a second to import
     from matplotlib.axes import Axes
 
+LETTER = 0.65  # width of a letter over the size of the font: of capitals, most others are narrower
 type AxesLike = Axes | Sequence[Axes] | np.ndarray | None
 
 OF_ALL = """
@@ -115,22 +115,11 @@ def inches_of(ax: "Axes") -> float:
 
 
 def broken(text: str, inches: float, size: str | float) -> str:
-    """A text in lines, each no wider than some inches in the font size; words that are wider are split."""
+    """A text in lines of as many letters as some inches hold in the font size; longer words are split."""
     from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import text_to_path
 
-    font = FontProperties(size=size)
-
-    def is_wider(letters):
-        widths = (
-            text_to_path.get_text_width_height_descent(line, font, False)[0]
-            for line in textwrap.wrap(text, letters)
-        )
-        return max(widths, default=0.0) > 72.0 * inches
-
-    # each width takes a while to compute: search, and not one number of letters after another
-    letters = bisect_left(range(1, len(text) + 1), True, key=is_wider)
-    return "\n".join(textwrap.wrap(text, letters)) if letters else text
+    letters = int(72.0 * inches / (LETTER * FontProperties(size=size).get_size_in_points()))
+    return textwrap.fill(text, max(1, letters))
 
 
 def close(axes: "Iterable[Axes]") -> None:

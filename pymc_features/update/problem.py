@@ -29,8 +29,7 @@ from pymc_features.update.kinds.base import KindOfData, Verdict
 from pymc_features.update.kinds.external import ProgramOf
 from pymc_features.update.kinds.histories import Histories
 from pymc_features.update.kinds.modal import Modal
-from pymc_features.update.plausibility.findings import of_priors
-from pymc_features.update.plausibility.prior_modes import PriorModes, moved_mass, prior_modes
+from pymc_features.update.plausibility.findings import PriorModes, moved_mass, of_priors, prior_modes
 from pymc_features.update.predictions import Predict, check_predictions
 
 A_STRUCTURE = "a table with `type`, the name of a structure"

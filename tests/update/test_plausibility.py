@@ -10,8 +10,7 @@ import xarray as xr
 from pymc_features import ModalDamping, SpringMassChain, cli
 from pymc_features.exceptions import ConfigError
 from pymc_features.update import read_problem
-from pymc_features.update.plausibility.findings import Compared, mode_rows, of_modes, of_priors
-from pymc_features.update.plausibility.prior_modes import prior_modes
+from pymc_features.update.plausibility.findings import Compared, mode_rows, of_modes, of_priors, prior_modes
 from pymc_features.update.plausibility.resonances import resonances, spectra_of
 from support import slips
 from support.faultless import faultless

@@ -19,7 +19,7 @@ from pymc_features.update.config.entries import Parameter, evaluated, priors_in
 from pymc_features.update.config.keys import named_key, refuse, shown
 from pymc_features.update.config.sections import Section
 from pymc_features.update.config.structures import modes_of
-from pymc_features.update.plausibility.prior_modes import possible_modes
+from pymc_features.update.plausibility.findings import possible_modes
 
 CHECK_DPI, REPORT_DPI = 120, 110
 SENSORS = ("sensor", "degree of freedom", "peak [m/s²]", "rms [m/s²]")
