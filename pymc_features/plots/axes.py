@@ -13,7 +13,7 @@ from pymc_features._checks import as_array, is_among, message, shown
 if TYPE_CHECKING:  # matplotlib takes a second to import
     from matplotlib.axes import Axes
 
-LETTER = 0.65  # width of a letter over the size of the font: of capitals, most others are narrower
+LETTER = 0.6  # mean width of letters over the size of the font; 0.65 of capitals
 type AxesLike = Axes | Sequence[Axes] | np.ndarray | None
 
 OF_ALL = """

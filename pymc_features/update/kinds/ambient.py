@@ -147,7 +147,7 @@ class Ambient(KindOfData):
                 "of them. Choose `ambient.bands` around those that it has.",
             )
         except ConfigError as error:
-            warnings.warn(f"No identified modes are compared with: {error}", AmbientWarning, stacklevel=2)
+            warnings.warn(f"There are no modes to compare with. {error}", AmbientWarning, stacklevel=2)
             return ()
         dofs, partner = self.dofs, PARTNER
         if len(dofs) < 2:  # a shape of one entry says nothing
