@@ -6,7 +6,7 @@ from itertools import cycle
 import numpy as np
 import xarray as xr
 
-from pymc_features._checks import check_group, message, shown
+from pymc_features._checks import check_group
 from pymc_features.likelihoods import LIKELIHOODS
 from pymc_features.plots.axes import (
     AxesLike,
@@ -64,7 +64,6 @@ def sampling_rate(
         Which to draw.
     """
     summary = check_group(result, "result", "summary", STUDY, *DIMS)
-    likelihoods = [] if likelihoods is None else likelihoods
     likelihoods = chosen_among(likelihoods, "likelihoods", summary["likelihood"].values.tolist())
     parameters = chosen_among(parameters, "parameters", summary["parameter"].values.tolist())
     n = len(parameters)
@@ -211,9 +210,7 @@ def tempering(idata: xr.DataTree, axes: AxesLike = None) -> np.ndarray:
     idata : DataTree
         From `sample_smc`: `sample_stats` with beta or epsilon (chain, stage).
     """
-    if not isinstance(idata, xr.DataTree):
-        raise TypeError(message("idata", "a DataTree", shown(idata), "Pass what sample_smc() returned."))
-    stats = idata["sample_stats"].to_dataset() if "sample_stats" in idata.children else {}
+    stats = idata["sample_stats"].to_dataset() if "sample_stats" in getattr(idata, "children", ()) else {}
     name = next((n for n in ("epsilon", "beta") if n in stats and "stage" in stats[n].dims), None)
     if name is None:
         raise ValueError(

@@ -178,9 +178,8 @@ def natural_frequencies(
         What draws.
     """
     advice = "Pass what `run_update` returned."
-    if not isinstance(result, xr.DataTree):
-        raise TypeError(message("result", "a DataTree", shown(result), advice))
-    kinds = [name for name, part in result.children.items() if "modal" in part.children]
+    parts = getattr(result, "children", {})
+    kinds = [name for name, part in parts.items() if "modal" in part.children]
     if not kinds:
         raise ValueError("`result` must have a likelihood with natural frequencies, got none.")
     data = check_group(result, "result", "data", advice, "sensor", "frequency")

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from pymc_features._checks import as_numbers, message, shown
+from pymc_features._checks import as_numbers, shown
 from pymc_features.plots.axes import AxesLike, checked_axes, chosen_among, figure, set_figure_title, set_title
 from pymc_features.plots.histories import share_of
 
@@ -43,10 +43,7 @@ def loops(
         return loops_of_specimen(result, measured, axes)
     if measured is not None:
         raise ValueError("`measured` must be left out for a study, got it. Its loops are simulated.")
-    if not isinstance(result, xr.DataTree):
-        advice = "Pass what study.sampling_rate_study() returned."
-        raise TypeError(message("result", "a DataTree or Dataset", shown(result), advice))
-    if "loops" not in result.children:
+    if "loops" not in getattr(result, "children", ()):
         raise ValueError(
             "`result` must be of a structure whose springs can yield, got one without loops. "
             'Run sampling_rate_study(record, structure="bouc-wen").'

@@ -176,12 +176,10 @@ class Compared:
     partners: np.ndarray | None  # (i,), mode of the model that each is matched with
 
     def __post_init__(self):
-        data, advice = self.measured, "Read it with `read_modal`, or make one."
-        if not isinstance(data, ModalData):
-            raise TypeError(message("measured", "a ModalData", shown(data), advice))
-        if data.shapes is None:
-            advice = "Read the shapes as well."
-            raise ValueError(message("measured", "a ModalData with shapes", "frequencies alone", advice))
+        data, advice = self.measured, "Read it with `read_modal`, and the shapes as well."
+        if not isinstance(data, ModalData) or data.shapes is None:
+            got = "frequencies alone" if isinstance(data, ModalData) else shown(data)
+            raise ValueError(message("measured", "a ModalData with shapes", got, advice))
         self.measured, self.identified = data.shapes, data.frequencies
         shapes, self.frequencies = shapes_and_frequencies(self.shapes, self.frequencies)
         shapes = as_numbers(shapes, "shapes", "Pass those of the model.")
