@@ -10,11 +10,13 @@ import pytensor
 import pytensor.tensor as pt
 import pytest
 from numba import njit
+from numba.core.caching import FunctionCache
 
 import pymc_features
 from pymc_features.ops import OPS, PopulationDiscrepancy, StructuralDiscrepancy, numba_dispatch
 from pymc_features.simulators import QUANTITIES
 from pymc_features.simulators.compiled import dependencies
+from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import n_outputs
 from support.commands import run_python
 
@@ -70,6 +72,21 @@ def test_kernels_are_parts_of_those_that_call_them():
         assert any(function.name == name for function in part.library.get_defined_functions())
         assert not engine.is_symbol_defined(name)
     assert Path(n_outputs._cache._impl.locator._py_file).name == "arguments.py"  # named in warnings
+
+
+def test_code_whose_arguments_have_moved_is_compiled_anew(monkeypatch):
+    """As after an update in which a class of arguments stands in another module."""
+    calls = []
+
+    def moved(self, sig, target_context):
+        calls.append(sig)
+        raise ModuleNotFoundError("No module named 'pymc_features.simulators.elsewhere'")
+
+    assert n_outputs(11, 2, 1) == 21
+    monkeypatch.setattr(FunctionCache, "load_overload", moved)
+    monkeypatch.setattr(FunctionCache, "flush", lambda self: calls.append("flush"))
+    again = jit(n_outputs.py_func)
+    assert again(11, 2, 1) == 21 and calls[1:] == ["flush"]
 
 
 class Copy:

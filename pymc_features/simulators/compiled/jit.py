@@ -18,7 +18,7 @@ from pathlib import Path
 
 from numba import config, njit
 from numba.core import event
-from numba.core.caching import CacheImpl, _CacheLocator
+from numba.core.caching import CacheImpl, FunctionCache, _CacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
@@ -95,6 +95,18 @@ def _part_constant(context, builder, kind, value):
     return context.get_dummy_value()
 
 
+class KernelCache(FunctionCache):
+    """Machine code on disk."""
+
+    def load_overload(self, sig, target_context):
+        """None, too, where the named tuples that a kernel takes stood elsewhere when its code was kept."""
+        try:
+            return super().load_overload(sig, target_context)
+        except (ImportError, AttributeError):
+            self.flush()
+            return None
+
+
 class Kernel(CPUDispatcher):
     """A kernel as Python calls it: machine code of its own, kept on disk."""
 
@@ -102,7 +114,7 @@ class Kernel(CPUDispatcher):
         super().__init__(py_func, locals, targetoptions)
         alone = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         self.part = PartDispatcher(py_func, targetoptions=targetoptions | alone, pipeline_class=PartCompiler)
-        self.enable_caching()
+        self._cache = KernelCache(py_func)
 
     def add_overload(self, cres):
         for environment in cres._find_referenced_environments():  # those of the parts
