@@ -30,9 +30,8 @@ def flat(family: str, name: str):
         len(spec.inputs),
         name in ("discrepancy_gradient", "population_gradient"),
     )
-    alone = {"discrepancy_gradient": "misfit_gradient", "population_gradient": "population_gradient"}
-    lean = name.replace("population_gradient", "population_discrepancy_gradient")
-    run = spec.kernels[lean if name in alone and lean in spec.kernels else alone.get(name, name)]
+    is_lone_gradient = name == "discrepancy_gradient"
+    run = spec.of_squares("misfit_gradient") if is_lone_gradient else spec.kernels[name]
 
     def kernel(*given):
         if np.ndim(given[at]) != np.ndim(NO_DIRECT):
