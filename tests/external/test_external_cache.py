@@ -13,8 +13,9 @@ import cloudpickle
 import numpy as np
 import pymc as pm
 import pytest
+from pytensor.compile.builders import OpFromGraph
 
-from pymc_features import DiscrepancySimulator, ProgramSimulator, TruncNormalFeature
+from pymc_features import DiscrepancySimulator, ExpFeature, ProgramSimulator, TruncNormalFeature
 from pymc_features.exceptions import UnknownIdentityError
 from pymc_features.external.cache import EvaluationCache
 from pymc_features.external.workers.calls import Outcome
@@ -319,3 +320,13 @@ def test_chains_are_not_parallel_by_default(simulator):
             given = (function(k),) if expected else (function, k)
             DiscrepancySimulator("y", *given, epsilon=1.0, observed=DATA, noise=0.1)
         assert is_parallel_by_itself(model) == expected
+
+
+def test_nothing_is_compiled_to_know_that(monkeypatch):
+    """A likelihood that is a graph would compile itself for its `fn`, for 9 s in an empty cache."""
+    with pm.Model() as model:
+        ExpFeature("y", mu=pm.Normal("x") * np.ones((2, 5)), sigma=1.0, observed=np.zeros((2, 5)))
+    [likelihood] = model.observed_RVs
+    assert isinstance(likelihood.owner.op, OpFromGraph)
+    monkeypatch.setattr(OpFromGraph, "fn", property(lambda self: pytest.fail("compiled")))
+    assert not is_parallel_by_itself(model)

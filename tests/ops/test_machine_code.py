@@ -13,8 +13,15 @@ from numba import njit
 from numba.core.caching import FunctionCache
 
 import pymc_features
-from pymc_features.ops import OPS, PopulationDiscrepancy, StructuralDiscrepancy, numba_dispatch
+from pymc_features.ops import (
+    OPS,
+    PopulationDiscrepancy,
+    StructuralDiscrepancy,
+    StructuralResponse,
+    numba_dispatch,
+)
 from pymc_features.simulators import QUANTITIES
+from pymc_features.simulators.chain.kernels import evaluate_chains
 from pymc_features.simulators.compiled import dependencies
 from pymc_features.simulators.compiled.jit import jit
 from pymc_features.simulators.oscillators.arguments import n_outputs
@@ -61,6 +68,23 @@ def test_one_kernel_serves_python_and_graphs():
     graph = pytensor.function([given], op(given, pt.constant(springs), *rest), mode="NUMBA")
     np.testing.assert_array_equal(graph(np.ones(8)[::2]), expected)
     assert set(op.kernel.overloads) == compiled
+
+
+def test_responses_share_the_machine_code_of_populations():
+    """README's model compiles one kernel; compiled graphs have another for responses."""
+    op, parameters = PopulationDiscrepancy(), (np.ones(4), np.full(4, 50.0), np.zeros(2), np.full(4, 0.1))
+    rest = (
+        np.sin(np.arange(9.0)),
+        *map(np.asarray, (0.02, 1, 1)),
+        np.empty((0, 0, 0)),
+        np.arange(4),
+        np.asarray(4),
+    )
+    [history] = StructuralResponse().run([*parameters, *rest])
+    [errors] = op.run([*(np.stack([x, x]) for x in parameters), *rest, np.zeros((4, 9))])
+    np.testing.assert_allclose(errors, [np.mean(history**2, axis=1)] * 2, rtol=1e-12)
+    assert len(evaluate_chains.overloads) == 1
+    assert numba_dispatch.is_compiled(StructuralResponse()) and not numba_dispatch.is_compiled(op)
 
 
 def test_kernels_are_parts_of_those_that_call_them():
