@@ -27,7 +27,6 @@ BEYOND = -2, 0  # powers of s beside s^q of the terms for modes far below and ab
 NEAR = -4, -3, -2, 0, 1, 2  # and in narrow bands of a record, for modes that are not so far
 RATIOS = np.geomspace(1e-5, 0.1, 13)  # of damping, among which that of a further mode is sought
 START = 0.25  # least half of its half-power width, over the distance of lines, with which it is sought
-STEP = 1e-3  # of differences: of ln zeta, and of ln w in units of zeta
 STEPS, ENOUGH = 60, 1e-3  # of a fit at most, and gain of log-likelihood below which it ends,
 ROUGHLY = 1.0  # and while modes are sought
 MOST = 30  # modes
@@ -123,17 +122,31 @@ class TransferFit(NamedTuple):
         return np.sqrt(np.diag(self.covariance).clip(min=0.0)).reshape(self.modes.table.shape)
 
 
-def unit_responses(natural, ratios, lines: Lines, blow=np.nan) -> np.ndarray:
-    """g (n, k) of modes of unit mass, less what a record that is cut lacks of the response to a blow."""
+def unit_responses(natural, ratios, lines: Lines, blow=np.nan, slopes=False) -> np.ndarray:
+    """g (n, k) of modes of unit mass, less what a record that is cut lacks of the response to a blow.
+
+    With `slopes` g and its derivatives by ln w and ln zeta (3, n, k).
+    """
     w, z, s = natural[:, None], ratios[:, None], lines.s
-    found = s**lines.power / (s**2 + 2.0 * z * w * s + w**2)
+    over = 1.0 / (s**2 + 2.0 * z * w * s + w**2)
+    found = s**lines.power * over
+    found = np.stack(
+        [found, -2.0 * w * (z * s + w) * over * found, -2.0 * w * z * s * over * found][: 1 + 2 * slopes]
+    )
     if np.isfinite(blow + lines.duration + lines.dt):
         rest = lines.duration - blow
         rings = np.flatnonzero(ratios * natural * rest < FORGOTTEN)
-        for pole in poles(w[rings], z[rings]):
-            left = pole**lines.power / (2j * pole.imag) * np.exp((pole - s) * rest)
-            found[rings] -= left * sampled(s - pole, lines.dt)
-    return found
+        w, z = w[rings], z[rings]
+        left_out, of_size = np.exp(-s * rest), z**2 / (1.0 - z**2)
+        for pole, by_z in zip(poles(w, z), poles_by_ratio(w, z), strict=True):
+            of_pole, later = sampled(pole, lines)
+            left = pole**lines.power / (2j * pole.imag) * np.exp(pole * rest) * left_out * of_pole
+            found[0, rings] -= left
+            if slopes:  # of the power, the exponential and the sum by the pole, and of its imaginary part
+                by_pole = lines.power / pole + rest + later
+                found[1, rings] -= left * (by_pole * pole - 1.0)
+                found[2, rings] -= left * (by_pole * by_z + of_size)
+    return found if slopes else found[0]
 
 
 def poles(w, z) -> tuple[np.ndarray, np.ndarray]:
@@ -142,14 +155,21 @@ def poles(w, z) -> tuple[np.ndarray, np.ndarray]:
     return pole, pole.conj()
 
 
-def sampled(x, dt) -> np.ndarray:
-    """Transform of exp(-x t), t >= 0, as a sum over samples."""
-    return dt / (1.0 - np.exp(-x * dt))
+def poles_by_ratio(w, z) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of both poles by ln zeta [rad/s]."""
+    change = -z * w - 1j * w * z**2 / np.sqrt(1.0 - z**2)
+    return change, change.conj()
+
+
+def sampled(pole, lines: Lines) -> tuple[np.ndarray, np.ndarray]:
+    """Transform of exp(pole t), t >= 0, as a sum over samples, and the derivative of its logarithm."""
+    step = np.exp(pole * lines.dt) * np.exp(-lines.s * lines.dt)
+    return lines.dt / (1.0 - step), lines.dt * step / (1.0 - step)
 
 
 def free_decays(natural, ratios, lines: Lines) -> np.ndarray:
     """Transforms (2, n, k) of a cosine and a sine that decay from the start of the record."""
-    one, other = (sampled(lines.s - pole, lines.dt) for pole in poles(natural[:, None], ratios[:, None]))
+    one, other = (sampled(pole, lines)[0] for pole in poles(natural[:, None], ratios[:, None]))
     return np.stack([0.5 * (one + other), 0.5j * (other - one)])
 
 
@@ -157,19 +177,6 @@ def residual_terms(lines: Lines) -> np.ndarray:
     """Transforms (j, k), of root mean square one, of modes below and above the lines."""
     terms = np.stack([lines.s ** float(lines.power + j) for j in lines.rest])
     return terms / np.sqrt(np.mean(np.abs(terms) ** 2, axis=1, keepdims=True))
-
-
-def columns_of(w, z, lines: Lines, blow) -> np.ndarray:
-    """Responses of modes, their slopes by ln w and ln zeta, and terms for modes far away (.., k)."""
-
-    def moved(of_w, of_z):
-        return unit_responses(w * np.exp(of_w), z * np.exp(of_z), lines, blow)
-
-    of_w = STEP * z
-    by_w, by_z = moved(of_w, 0.0) - moved(-of_w, 0.0), moved(0.0, STEP) - moved(0.0, -STEP)
-    return np.concatenate(
-        [moved(0.0, 0.0), by_w / (2.0 * of_w[:, None]), by_z / (2.0 * STEP), residual_terms(lines)]
-    )
 
 
 def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Lines, drift=0.0, gain=0.0):
@@ -181,7 +188,11 @@ def quadratic(modes: TransferModes, experiments: Sequence[Experiment], lines: Li
     w, z, p_in, p_out = modes.natural, modes.ratios, modes.inputs, modes.outputs
     (n, n_in), n_out, n_rest = p_in.shape, p_out.shape[1], modes.rest.shape[2]
     n_columns, kinds = 3 * n + n_rest, {(e.drift, e.blow) for e in experiments}
-    columns = {kind: columns_of(w * np.exp(kind[0]), z, lines, kind[1]) for kind in kinds}
+    rest = residual_terms(lines)
+    columns = {}
+    for drift_of_all, blow in kinds:
+        found = unit_responses(w * np.exp(drift_of_all), z, lines, blow, slopes=True)
+        columns[drift_of_all, blow] = np.concatenate([*found, rest])
     sizes = [*(x.size for x in modes), n_in * (drift > 0.0), (n_in + n_out) * (gain > 0.0)]
     *places, at_drift, at_gain = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
     at, at_rest, at_end = (place.reshape(x.shape) for place, x in zip(places, modes, strict=True))
