@@ -134,13 +134,9 @@ def _must(holds, source: str, be: str, got, advice: str = "Export it again.") ->
 def _read(path: Path, columns) -> list[Function]:
     if re.match(libraries.UNIVERSAL, path.read_bytes()):
         return _universal(path)
-    if path.suffix.lower() not in (".mat", ".h5", ".hdf5", ".npz"):
-        return _table(path, columns)
-    if path.suffix.lower() != ".npz":
+    if path.suffix.lower() in (".mat", ".h5", ".hdf5", ".npz"):
         return _of_arrays(path, load_variables(path))
-    with by_library("NumPy", "", path, ".npz"), np.load(path, allow_pickle=False) as file:
-        arrays = dict(file)
-    return _of_arrays(path, arrays)
+    return _table(path, columns)
 
 
 def _universal(path: Path) -> list[Function]:

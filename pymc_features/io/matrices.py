@@ -9,7 +9,6 @@ TR/PA/92/86. Dassault Systemes, Abaqus Analysis User's Guide, Generating matrice
 CrunchiX User's Manual, *FREQUENCY, SOLVER=MATRIXSTORAGE. ANSYS, Command Reference, HBMAT.
 """
 
-import zipfile
 from io import StringIO
 from os import PathLike
 from pathlib import Path
@@ -240,26 +239,9 @@ def _read_table(path: Path) -> Matrices:
     return Matrices({path.stem: columns.values}, {path.stem: labels} if square and all(labels) else {})
 
 
-def _read_npz(path: Path) -> Matrices:
-    with zipfile.ZipFile(path) as file:
-        check_size(path, [entry.file_size for entry in file.infolist()])
-    with np.load(path, allow_pickle=False) as file:
-        arrays = dict(file)
-    if not {"format", "shape", "data"} <= set(arrays):
-        return Matrices(arrays)
-    check_size(path, 8 * np.ravel(arrays["shape"]))
-    matrix = sparse.load_npz(path)
-    if matrix.format == "bsr":
-        matrix.check_format(full_check=True)  # SciPy converts a damaged one to another matrix
-    matrix = sparse.csc_array(matrix)
-    matrix.check_format()
-    return Matrices({path.stem: matrix})
-
-
 READERS = {
     ".mtx": read_mtx,
-    ".mat": lambda path: Matrices(load_variables(path)),
-    ".npz": _read_npz,
+    **dict.fromkeys((".mat", ".npz"), lambda path: Matrices(load_variables(path))),
     **dict.fromkeys((".sti", ".mas"), read_calculix),
     **dict.fromkeys((".hb", ".rsa", ".rua", ".matrix"), read_harwell_boeing),
     **dict.fromkeys((".op4", ".pch", ".bdf"), read_nastran),

@@ -130,7 +130,7 @@ PROMISES = {  # what is said: what is given
         "m.mtx",
         lambda p: p.write_text("%%MatrixMarket matrix coordinate real general\n3 3 999999999999\n1 1 1\n"),
     ),
-    "m.npz must hold matrices.*Unable to allocate": ("m.npz", promising_npy),
+    "m.npz must be a NumPy file.*Unable to allocate": ("m.npz", promising_npy),
     "m.npz must not hold arrays of more": ("m.npz", zipped_zeros),
     "k.mat must be a MATLAB .mat file.*must not be larger than 6.71e.07 bytes": ("k.mat", compressed_zeros),
     "k.mat must be a MATLAB .mat file.*must not hold arrays of more .* got": ("k.mat", sparse_hdf5_group),
@@ -227,12 +227,12 @@ WRONG = {  # what is said: what is given
         "K.mtx",
         lambda p: p.write_text("%%MatrixMarket matrix coordinate real odd\n2 2 1\n1 1 1\n"),
     ),
-    "K.npz must hold matrices, it cannot be read .*pickled": (
+    "K.npz must be a NumPy file, it cannot be read .*pickled": (
         "K.npz",
         lambda p: (np.savez(p, K=np.eye(2)), p.write_bytes(p.read_bytes()[1:])),
     ),
-    "K.npz must hold matrices": ("K.npz", lambda p: wrong_bsr(p, indices=np.array([0, 1, 0, 1, 9, 1, 2]))),
-    "K.npz must hold matrices, it cannot": ("K.npz", lambda p: wrong_bsr(p, indptr=np.array([0, 9, 2, 7]))),
+    "K.npz must be a NumPy file": ("K.npz", lambda p: wrong_bsr(p, indices=np.array([0, 1, 0, 1, 9, 1, 2]))),
+    "K.npz must be a NumPy file, it cannot": ("K.npz", lambda p: wrong_bsr(p, indptr=np.array([0, 9, 2, 7]))),
 }
 
 

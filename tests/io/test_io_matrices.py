@@ -72,7 +72,7 @@ def test_numpy(tmp_path):
 def test_pickles_are_not_opened(tmp_path):
     path = tmp_path / "trap.npz"
     np.savez(path, K=np.array([{}, 1], dtype=object))
-    with pytest.raises(ValueError, match="trap.npz must hold matrices, it cannot be read .*allow_pickle"):
+    with pytest.raises(ValueError, match="trap.npz must be a NumPy file, it cannot be read .*allow_pickle"):
         read_matrices(path)
 
 
@@ -103,7 +103,7 @@ FILES_THAT_HOLD_SOMETHING_ELSE = {  # what is said: what is given
     "must hold matrices of real numbers, got note": ("K.mat", lambda p: savemat(p, {"note": "SI"})),
     "K.mat must be a MATLAB .mat file, it cannot be read": ("K.mat", broken_hdf5_index),
     "K.mat must be a MATLAB .mat file, it cannot be read .*NoneType": ("K.mat", hdf5_elsewhere),
-    "K.npz must hold matrices, it cannot be read": ("K.npz", lambda p: p.write_bytes(b"PK\x03\x04")),
+    "K.npz must be a NumPy file, it cannot be read": ("K.npz", lambda p: p.write_bytes(b"PK\x03\x04")),
     "must hold matrices of real numbers, got K": ("K.npz", lambda p: np.savez(p, K=np.array(["a"]))),
     "must hold matrices of real numbers, got nothing": ("K.npz", lambda p: np.savez(p)),
     "`path` must end in .mtx, .mat, .npz, .* got K.npy. Export": ("K.npy", lambda p: np.save(p, DENSE)),

@@ -88,3 +88,10 @@ def test_histories_that_begin_at_different_times(file):
     """Cut to what they have in common."""
     path = file(data_set(), data_set(10.0 * VALUES, node=2, x0=0.02))
     np.testing.assert_array_equal(read_channels(path).values, [VALUES[2:], 10.0 * VALUES[:-2]])
+
+
+def test_exponents_of_double_precision(file):
+    """As Fortran writes them, which pyuff does not read."""
+    text = data_set()
+    head, numbers = text[: text.index("\n  1.0")], text[text.index("\n  1.0") :]
+    np.testing.assert_array_equal(read_record(file(head + numbers.replace("e", "D"))).acceleration, VALUES)

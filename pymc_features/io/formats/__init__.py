@@ -13,6 +13,7 @@ from pymc_features.io.reading.recording import Format, Opening, Recording, Reque
 #: first one that recognises its first lines; the last takes every file.
 TABLE = """\
 MATLAB | .mat | what its variables `dt`, `fs`, `t`, `time` and `units` state
+NumPy | .npz, .npy | as of MATLAB; of one array nothing
 TDMS, by npTDMS | .tdms | step, start, units, channels. Needs the extra `daq`
 Parquet, by pandas | .parquet | names, units in them, a clock among its columns. Needs the extra `daq`
 HDF5 | .h5, .hdf5 | names, attributes `units`, `dt` and `fs`, a clock among its data sets
@@ -28,11 +29,13 @@ UNAM | day and number, .191 | step, units, directions, peaks
 Universal File 58, by pyuff | .uff, .unv | step, units, channels by node, direction. Needs the extra `modal`
 SAC, MiniSEED, TSPAIR and SLIST, by ObsPy | .sac, .mseed, .txt | step, channels, start; pass `units`. \
 Needs the extra `seismic`
-text | any other | names and units of a header, step of a column of times; pass what is missing
+text | any other, .gz, .xlsx | names and units of a header, step of a column of times; pass what is missing. \
+A spreadsheet needs the extra `daq`
 """
 #: How the files of a format begin, and what reads them.
 READERS = {
     "MATLAB": (r"\.mat$", read_matlab),
+    "NumPy": (lambda opening: opening.suffix in (".npz", ".npy"), read_matlab),
     "TDMS, by npTDMS": (b"TDSm", libraries.read_tdms),
     "Parquet, by pandas": (b"PAR1", libraries.read_parquet),
     "HDF5": (rb"\x89HDF\r\n\x1a\n", read_matlab),

@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -59,10 +60,14 @@ def universal_sets(path: Path) -> tuple[list[int], list[dict]]:
         import pyuff
 
         warnings.simplefilter("ignore")
-        file = pyuff.UFF(str(path))
-        kinds = [int(kind) for kind in file.get_set_types()]
-        places = [k for k, kind in enumerate(kinds) if str(kind) == FUNCTIONS]
-        return kinds, [file.read_sets(k) | {"raw": raw} for k in places]
+        with TemporaryDirectory() as folder:
+            if b"\0" not in raw and (plain := re.sub(rb"(\d)[dD](?=[-+]\d\d)", rb"\1E", raw)) != raw:
+                path = Path(folder) / path.name  # of Fortran's double precision
+                path.write_bytes(plain)
+            file = pyuff.UFF(str(path))
+            kinds = [int(kind) for kind in file.get_set_types()]
+            places = [k for k, kind in enumerate(kinds) if str(kind) == FUNCTIONS]
+            return kinds, [file.read_sets(k) | {"raw": raw} for k in places]
 
 
 def numbers_of(found: dict, source: str) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""MATLAB .mat files: version 4 by SciPy, 5 to 7 by their layout, 7.3 and other HDF5 files by h5py.
+"""MATLAB .mat files: version 4 by SciPy, 5 to 7 by their layout, 7.3 and other HDF5 files by h5py; NumPy's.
 
 Arrays of numbers and text are read, those in structures too, as `name.field`. Objects, cells and function
 handles are passed over, nothing in a file is executed, and HDF5 cannot send the reader to another file.
@@ -11,6 +11,7 @@ they are, and a spoilt one ends the process. The MathWorks, MAT-File Format, sec
 import math
 import re
 import struct
+import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from io import BytesIO
@@ -30,6 +31,8 @@ STEPS = "dt ts delta deltat timestep samplinginterval sampleinterval samplingper
 RATES = "fs samplingrate samplerate samplingfrequency samplefrequency samplingfreq samplefreq"
 SCALARS = dict.fromkeys(STEPS.split(), unit_of("s")) | dict.fromkeys(RATES.split(), unit_of("Hz"))
 DEEPEST = 4  # structures in one another
+KINDS = {".mat": "a MATLAB .mat", ".npy": "a NumPy", ".npz": "a NumPy"}
+NUMPY = b"\x93NUMPY"
 HEADER = 128  # bytes
 COMPRESSED, ARRAY = 15, 14  # types of elements
 STRUCTURE, TEXT, SPARSE, NUMBERS = 2, 4, 5, range(6, 16)  # classes of arrays
@@ -41,13 +44,17 @@ CODECS = {1: "latin-1", 2: "latin-1", 4: "utf-16-{}", 16: "utf-8", 17: "utf-16-{
 
 
 def load_variables(path: Path) -> dict[str, np.ndarray]:
-    """Arrays of numbers, sparse matrices and texts of a .mat file of any version, or of HDF5, by name."""
+    """Arrays of numbers, sparse matrices and texts of a .mat file of any version, HDF5 or NumPy, by name."""
     import h5py
 
     try:
         if h5py.is_hdf5(path):
             return _load_hdf5(path)
+        if zipfile.is_zipfile(path):
+            return _load_npz(path)
         raw = memoryview(path.read_bytes())
+        if raw[: len(NUMPY)] == NUMPY:
+            return {path.stem: np.load(path, mmap_mode="r", allow_pickle=False)}
         if 0 in raw[:4]:  # version 4, of which SciPy's reader is in Python; the header of version 5 is text
             pairs = loadmat(BytesIO(raw), spmatrix=False).items()
             names = [name for name, *_ in whosmat(BytesIO(raw))]
@@ -57,7 +64,7 @@ def load_variables(path: Path) -> dict[str, np.ndarray]:
         require(len(set(names)) == len(names), "a variable is there twice")
         return {name: value for name, value in pairs if name and not name.startswith("__")}
     except Exception as error:  # each damaged file fails in its own way
-        kind = "a MATLAB .mat" if path.suffix.lower() == ".mat" else "an HDF5"
+        kind = KINDS.get(path.suffix.lower(), "an HDF5")
         said = f"it cannot be read ({shortened(error)}). Save it again."
         raise ValueError(f"{path.name} must be {kind} file, {said}") from error
 
@@ -133,6 +140,23 @@ def _compressed(n_rows: int, starts: np.ndarray, rows: np.ndarray, data: np.ndar
     matrix = sparse.csc_array((data[:n_entries], *places), shape=(int(n_rows), starts.size - 1))
     matrix.check_format()
     return matrix
+
+
+def _load_npz(path: Path) -> dict[str, np.ndarray]:
+    """Arrays by name, or the matrix that `scipy.sparse.save_npz` wrote."""
+    with zipfile.ZipFile(path) as file:
+        check_size(path, [entry.file_size for entry in file.infolist()])
+    with np.load(path, allow_pickle=False) as file:
+        arrays = dict(file)
+    if not {"format", "shape", "data"} <= set(arrays):
+        return arrays
+    check_size(path, 8 * np.ravel(arrays["shape"]))
+    matrix = sparse.load_npz(path)
+    if matrix.format == "bsr":
+        matrix.check_format(full_check=True)  # SciPy converts a damaged one to another matrix
+    matrix = sparse.csc_array(matrix)
+    matrix.check_format()
+    return {path.stem: matrix}
 
 
 def _load_hdf5(path: Path) -> dict[str, np.ndarray]:

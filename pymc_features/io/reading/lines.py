@@ -1,17 +1,20 @@
 """Files that can be read; lines and numbers of any text file, in time and memory proportional to its size."""
 
 import codecs
+import gzip
 import re
+import zipfile
 from array import array
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from pymc_features._checks import warn_caller
+from pymc_features._checks import require, warn_caller
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
 _WIDTH = re.compile(r"(?<!\d)\d{0,3}[FEI](\d{1,3})", re.IGNORECASE | re.ASCII)
@@ -22,6 +25,7 @@ _NOT_FINITE = re.compile(r"[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 LONGEST_NUMBER = 100  # characters
 TIMES = 20  # the size of the file
 ALWAYS = 64 * 2**20  # bytes; small files of much compressed or sparse arrays
+GZIP, ZIP = b"\x1f\x8b", b"PK\3\4"  # the first bytes; a spreadsheet is a zip file
 SAMPLE = 400  # bytes that tell the encoding
 RARE, FEWEST_LINES = 0.02, 8  # of lines of another width than the others, and how many tell the width
 
@@ -54,11 +58,42 @@ def decoded(raw: bytes) -> str:
     return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
+def text_in(path: Path) -> bytes:
+    """What a file holds: unpacked by gzip, the sheet of a spreadsheet with a tab between its cells."""
+    raw = path.read_bytes()
+    if raw.startswith(GZIP):
+        with by_library("gzip", "", path, "gzip"), gzip.open(path) as file:
+            raw = file.read(most_bytes(path) + 1)
+        check_size(path, [len(raw)])
+    if not raw.startswith(ZIP):
+        return raw
+    with by_library("openpyxl", "daq", path, "spreadsheet (.xlsx)", "Save one sheet as CSV."):
+        held = zipfile.ZipFile(BytesIO(raw)).infolist()
+        is_book = any(entry.filename.startswith("xl/") for entry in held)
+    require(is_book, f"{path.name} must be a text file, got a zip file of {len(held)} files. Unpack it.")
+    check_size(path, [entry.file_size for entry in held])
+    with by_library("openpyxl", "daq", path, "spreadsheet (.xlsx)", "Save one sheet as CSV."):
+        from openpyxl import load_workbook
+
+        book = load_workbook(BytesIO(raw), read_only=True, data_only=True)
+        sheets = {sheet.title: [*sheet.iter_rows(values_only=True)] for sheet in book.worksheets}
+    is_number = {
+        name: [isinstance(cell, float | int) for cell in chain(*rows)] for name, rows in sheets.items()
+    }
+    counts = {name: sum(cells) for name, cells in is_number.items()}
+    largest = max(counts, key=counts.get)
+    several = [name for name, count in counts.items() if 10 * count > counts[largest]]
+    said = f"got {', '.join(map(repr, several[:5]))}. Save each as a file of its own."
+    require(len(several) < 2, f"{path.name} must have its numbers in one sheet, {said}")
+    rows = (["" if cell is None else str(cell) for cell in row] for row in sheets[largest])
+    return "\n".join("\t".join(row) for row in rows).encode()
+
+
 class Lines:
     """The lines of a text file, which messages call by its format, if that is known; no binary data."""
 
     def __init__(self, path: Path, format_name: str = ""):
-        raw = path.read_bytes()
+        raw = text_in(path)
         plain = raw.isascii() and b"\r" not in raw and b"\0" not in raw
         self.raw = raw if plain else decoded(raw).encode(errors="replace")  # UTF-8 with line feeds
         if b"\0" in self.raw:

@@ -1,7 +1,9 @@
 """Recordings, which every reader makes: channels as a file states them, and as the caller wants them."""
 
 import re
+import zlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,9 +13,10 @@ import numpy as np
 
 from pymc_features._checks import SAMPLING_INTERVAL, listed, require, shown, warn_caller
 from pymc_features.io.reading.labels import NO_HISTORY, Label, resolve_dt, resolve_units, role_of, unit_of
-from pymc_features.io.reading.lines import decoded
+from pymc_features.io.reading.lines import GZIP, decoded
 
 OPENING = 16_384  # bytes
+GZIP_BITS = 31  # of zlib, for the header of gzip
 TINY, ALONE = 1e-60, 1e3  # over the largest value, and the largest over the second: none is measured so
 FEWEST = 10  # values among which one can be told
 #: Seconds per count of the microsecond counter in exports of Movella (Xsens) DOT sensors, by its label.
@@ -51,7 +54,12 @@ class Opening:
     def of(cls, path: Path) -> "Opening":
         """Read the first bytes of a file."""
         with path.open("rb") as file:
-            return cls(path.suffix.lower(), file.read(OPENING))
+            head = file.read(OPENING)
+        if not head.startswith(GZIP):
+            return cls(path.suffix.lower(), head)
+        with suppress(zlib.error):  # which whoever reads it will meet, and say
+            head = zlib.decompressobj(GZIP_BITS).decompress(head, OPENING)
+        return cls(Path(path.stem).suffix.lower(), head)
 
     @cached_property
     def lines(self) -> list[str]:

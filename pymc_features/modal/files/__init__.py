@@ -98,7 +98,7 @@ def read_modal(
 def _read_file(path: Path, names: dict[str, str], channels) -> dict:
     """The modes in a file, whose kind is known by its first bytes."""
     opening = Opening.of(path)
-    if opening.suffix == ".mat" or opening.head.startswith(b"MATLAB ") or h5py.is_hdf5(path):
+    if opening.suffix in (".mat", ".npz") or opening.head.startswith(b"MATLAB ") or h5py.is_hdf5(path):
         return from_variables(load_variables(path), path.name, names)
     if opening.begins(UNIVERSAL):
         _refuse_names(names, f"{path.name}, a Universal File")
