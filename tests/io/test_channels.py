@@ -381,7 +381,7 @@ def test_files_that_are_refused(tmp_path):
     with pytest.raises(TypeError, match="`files` must be a path, several, or a mapping"):
         read(3)
     np.save(tmp_path / "object.npy", np.array([{}], dtype=object), allow_pickle=True)
-    with pytest.raises(ValueError, match="object.npy must be a text file, it holds binary data"):
+    with pytest.raises(ValueError, match="object.npy must be a NumPy file, it cannot be read"):
         read(tmp_path / "object.npy")
     (tmp_path / "bad.mat").write_bytes(b"MATLAB 5.0" + 200 * b"\1")
     with pytest.raises(ValueError, match="bad.mat must be a MATLAB .mat file, it cannot be read"):
